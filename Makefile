@@ -6,8 +6,8 @@ VENV ?= .venv
 ARGS ?=
 MATRIX ?= 3.10-newest 3.11-newest 3.12-oldest
 
-# One worker takes what runs in real time, the other the rest (see tests/conftest.py).
-WORKERS = -n 2
+# A worker takes a whole file, whose fixtures are made once.
+WORKERS = -n auto --dist loadfile
 
 SETUP = $(PYTHON) bootstrap.py --venv $(VENV)
 
@@ -18,8 +18,11 @@ COMPILED = $(PYTHON) $(CURDIR)/bootstrap.py --venv .venv-compiled --extras ros,t
 export OMP_NUM_THREADS = 1
 export OPENBLAS_NUM_THREADS = 1
 
+# Tests and demos start many processes from this tree: they share what Python has compiled.
+unexport PYTHONDONTWRITEBYTECODE
+
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test verify lint firmware mutants docs dist compiled test-compiled test-matrix clean distclean
+.PHONY: help setup demo test test-all verify lint firmware mutants docs dist compiled test-compiled test-matrix clean distclean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-12s  %s\n", $$1, $$2 }' Makefile
@@ -30,8 +33,11 @@ setup: ## make the environment in .venv with ROS 2, the camera and the serial po
 demo: ## the whole experiment without hardware (ARGS: see `beam demo --help`)
 	@$(SETUP) -- beam demo $(ARGS)
 
-test: ## all quick tests, with real nodes on a private domain (ARGS: for pytest)
+test: ## the quick tests of all rooms (ARGS: for pytest)
 	@$(SETUP) --extras ros,test -- python -m pytest $(WORKERS) $(ARGS)
+
+test-all: ## all tests: also long fits, real processes and nodes on a private domain, firmware (ARGS: for pytest)
+	@$(SETUP) --extras ros,test -- python -m pytest --all $(WORKERS) $(ARGS)
 
 verify: ## the figures of the documentation at full length, some two hours
 	@$(SETUP) --extras ros,test,browser -- python -m pytest --verify $(ARGS)

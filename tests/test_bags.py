@@ -45,6 +45,7 @@ def test_every_recording_is_expected_described_and_made_by_the_script(script: Mo
     assert size < 9e6, "the recordings are there to be small"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", RECORDINGS)
 def test_a_recording_identifies_as_its_truth_and_as_expected(name: str) -> None:
     truth, expected = EXPECTED[name]["truth"], EXPECTED[name]["identified"]
@@ -64,11 +65,13 @@ def test_a_recording_identifies_as_its_truth_and_as_expected(name: str) -> None:
     assert fits == pytest.approx(expected["fit_percent"], abs=0.05)
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("name", RECORDINGS)
 def test_both_libraries_find_a_recording_whole_and_read_the_same(name: str) -> None:
     assert messages_of_whole_bag(FOLDER / name)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", RECORDINGS)
 def test_the_script_makes_a_recording_anew(script: ModuleType, name: str, tmp_path: Path) -> None:
     script.record(name, tmp_path / name)
@@ -82,6 +85,7 @@ def test_the_script_makes_a_recording_anew(script: ModuleType, name: str, tmp_pa
     np.testing.assert_allclose(positions[0], positions[1], atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_recording_is_the_same_to_the_last_byte_each_time(script: ModuleType, tmp_path: Path) -> None:
     name = "drifting"
     for folder in ("one", "other"):
@@ -119,6 +123,7 @@ def test_the_drifting_one_has_all_that_is_said_of_it() -> None:
     }
 
 
+@pytest.mark.slow
 def test_the_page_on_clocks_says_what_counting_and_stamping_cost(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(FOLDER.parent)
     names: dict[str, Any] = {}

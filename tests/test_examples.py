@@ -87,6 +87,7 @@ def test_every_example_is_run_here() -> None:
     assert {path.name for path in EXAMPLES.glob("*.py")} == {*SAYS, "robot_arm.py", "simulated_beam.py"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(SAYS))
 def test_an_example_runs_and_says_what_its_topic_is_about(name: str) -> None:
     ended = run(name)
@@ -103,6 +104,7 @@ def test_an_example_is_short_and_tells_its_topic_first(path: Path) -> None:
     assert lines[0].startswith('"""')
 
 
+@pytest.mark.slow
 def test_without_its_data_the_robot_arm_says_where_they_are() -> None:
     ended = run("robot_arm.py", "nowhere.dat")
     assert ended.returncode == 1

@@ -35,6 +35,7 @@ def test_commands_are_found_on_pages() -> None:
     assert all(commands(f"docs/{page}.md") for page in ("axis", "excitation", "walk-through"))
 
 
+@pytest.mark.slow
 def test_the_walk_through_says_what_the_recordings_give(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

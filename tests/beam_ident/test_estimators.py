@@ -21,14 +21,21 @@ from beam_ident import (
     restore,
     run_estimator,
 )
-from beam_ros.bags.reading import Bag
 from beam_ros.cli.main import main
 from beam_ros.offline.simulation import simulate
 from beam_ros.rig.rig import Rig
 from tests.beam_ident import result_cases
 from tests.beam_ident.test_exports import loaded_after
 
-BAG = Path(__file__).parents[2] / "bags" / "chirp_6s"
+SHORT = {
+    "excitation.duration": 3.0,
+    "excitation.still": 1.0,
+    "excitation.end_frequency": 12.0,
+    "markers.names": ["z285"],
+    "markers.heights": [0.285],
+    "markers.height_uncertainties": [0.0005],
+    "markers.masses": [0.0],
+}
 
 TOY = """
 from types import SimpleNamespace
@@ -47,12 +54,18 @@ def nothing(record, settings):
 
 
 @pytest.fixture(scope="module")
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A short experiment that excites the first mode alone."""
+    path = tmp_path_factory.mktemp("seen") / "bag"
+    simulate(Rig.from_file().with_values(SHORT), path)
+    return path
+
+
+@pytest.fixture(scope="module")
 def unseen(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The recording's experiment once more, with other noise."""
+    """The same once more, with other noise."""
     path = tmp_path_factory.mktemp("unseen") / "bag"
-    with Bag(BAG) as bag:
-        rig = Rig.from_nested((bag.excitation_info() or {})["rig"])
-    simulate(rig.with_values({"simulation.seed": 21}), path)
+    simulate(Rig.from_file().with_values({**SHORT, "simulation.seed": 21}), path)
     return path
 
 
@@ -71,16 +84,17 @@ def laboratory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(str(folder))
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("laboratory")
 def test_the_estimator_of_another_package_identifies_a_bag(
-    tmp_path: Path, unseen: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, bag: Path, unseen: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["identify", str(BAG), "--estimator", "peak", "--report", str(tmp_path / "out")]) == 0
+    assert main(["identify", str(bag), "--estimator", "peak", "--report", str(tmp_path / "out")]) == 0
     printed = capsys.readouterr().out
-    assert "note: the largest sample of z010 is at" in printed
+    assert "note: the largest sample of z285 is at" in printed
     assert "report.html" in printed
     assert '"type": "toy"' in (tmp_path / "out" / "model.json").read_text()
-    assert main(["identify", str(BAG), "--estimator", "peak", "--validate", str(unseen)]) == 2
+    assert main(["identify", str(bag), "--estimator", "peak", "--validate", str(unseen)]) == 2
     assert "take the estimator modal" in capsys.readouterr().err
     assert main(["identify", "--help"]) == 0
     assert "peak               added by toy-lab" in capsys.readouterr().out
@@ -105,14 +119,15 @@ def test_an_unknown_name_is_answered_with_the_likeliest(name: str, hint: str) ->
         find_estimator(name)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ESTIMATORS)
-def test_every_estimator_identifies_the_recorded_bag(
-    name: str, tmp_path: Path, unseen: Path, capsys: pytest.CaptureFixture[str]
+def test_every_estimator_identifies_a_bag(
+    name: str, tmp_path: Path, bag: Path, unseen: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "out"
     validation = () if name == "po_moesp" else ("--validate", str(unseen))
-    options = ("--estimator", name, "--modes", "2", "--report", str(out))
-    assert main(["identify", str(BAG), *options, *validation]) == 0
+    options = ("--estimator", name, "--modes", "1", "--report", str(out))
+    assert main(["identify", str(bag), *options, *validation]) == 0
     printed = capsys.readouterr().out
     assert ("prediction: FIT" in printed) == (name != "po_moesp")
     assert ("do not trust this damping ratio" in printed) == (name == "local_polynomial")
@@ -124,6 +139,7 @@ def test_every_estimator_identifies_the_recorded_bag(
     assert "4.38" in printed if name != "local_polynomial" else "4.37" in printed
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["common_poles", "po_moesp"])
 def test_degrees_are_chosen_where_none_are_given(name: str) -> None:
     found = run_estimator(name, result_cases.record(), EstimatorSettings("receptance"))
@@ -133,6 +149,7 @@ def test_degrees_are_chosen_where_none_are_given(name: str) -> None:
     assert found.converged
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("name", ESTIMATORS)
 def test_an_offset_and_a_drift_of_the_outputs_move_no_pole(name: str) -> None:
     record = result_cases.record()
@@ -148,6 +165,7 @@ def test_an_offset_and_a_drift_of_the_outputs_move_no_pole(name: str) -> None:
         assert damping_ratios[0] == pytest.approx(0.1, rel=0.05 if name == "local_polynomial" else 0.005)
 
 
+@pytest.mark.slow
 def test_the_table_of_orders_has_the_degrees_that_were_asked_for() -> None:
     settings = EstimatorSettings("receptance", orders=((1, 0), (2, 0)))
     found = run_estimator("srivc", result_cases.record(), settings)
@@ -178,6 +196,7 @@ def test_what_an_estimator_has_no_choice_of_is_refused(
         run_estimator(name, result_cases.record(), settings)
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize(
     ("name", "settings"),
     [
@@ -202,6 +221,7 @@ def test_terms_that_are_left_out_and_a_known_latency_reach_the_fit() -> None:
     assert found.model.latency == 4e-3
 
 
+@pytest.mark.slow
 def test_common_poles_stand_at_the_delay_that_the_outputs_show() -> None:
     record = result_cases.record()
     late = tuple(
@@ -220,6 +240,7 @@ def test_what_drifts_is_refused_where_poles_at_zero_are_not_known(name: str) -> 
         run_estimator(name, result_cases.record(), EstimatorSettings("force"))
 
 
+@pytest.mark.slow
 def test_the_output_that_cannot_be_estimated_is_named() -> None:
     rng = np.random.default_rng(4)
     drive = InputSignal("u", "N", (0.0, 0.01), rng.standard_normal(200), "zoh")

@@ -37,6 +37,7 @@ def test_the_docs_list_the_members_of_every_contract(contract):
     assert sorted(listed) == sorted(name for name, own in vars(contract).items() if isinstance(own, property))
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("name", result_cases.ALL)
 def test_every_result_keeps_its_contract(name):
     found = result_cases.result(name)
@@ -45,6 +46,7 @@ def test_every_result_keeps_its_contract(name):
     assert isinstance(found, LineResult) == (name in result_cases.OVER_LINES)
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("name", result_cases.BY_NAME)
 def test_what_the_table_promises_is_kept_and_the_models_can_be_stored(name):
     found = result_cases.result(name)

@@ -6,6 +6,7 @@ import copy
 import dataclasses
 import functools
 import json
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -25,30 +26,39 @@ from benchmarks.ident.driven_axis import DrivenAxis
 from tests.beam_ident import result_cases
 
 
-@functools.cache
-def stored() -> dict[str, Any]:
-    """One of everything that can be stored."""
+def lines_with_gap() -> FrequencyRecord:
     lines = result_cases.lines()
     gap = np.array(lines.response)
     gap[3] = np.nan
-    return {
-        "subspace_model": result_cases.result("subspace_model"),
-        "free_decay": result_cases.result("fit_free_decay"),
-        "amplitude_curves": amplitude_curves(result_cases.decay()),
-        "axis": identify_axis(DrivenAxis(duration_s=4.0, speed=0.3, period_s=2e-3).record(0), force="force"),
-        "best_linear_approximation": result_cases.best_linear(),
-        "modal_analysis": result_cases.result("analyse_modes"),
-        "modal_model": result_cases.result("identify").model,
-        "transfer_function": result_cases.result("estimate_transfer_function").model,
-        "multi_input_model": result_cases.result("several inputs").model,
-        "frequency_record": lines,
-        "frequency record with gaps": dataclasses.replace(lines, response=gap, degrees_of_freedom=np.inf),
-        "frequency record without variances": FrequencyRecord([1.0, 2.0], [1.0 + 2.0j, -0.0 - 1e-300j]),
-        "recipe": LogChirp(start_frequency=0.1 + 0.2),
-    }
+    return dataclasses.replace(lines, response=gap, degrees_of_freedom=np.inf)
 
 
-NAMES = tuple(stored())
+MAKERS: dict[str, Callable[[], Any]] = {
+    "subspace_model": lambda: result_cases.result("subspace_model"),
+    "free_decay": lambda: result_cases.result("fit_free_decay"),
+    "amplitude_curves": lambda: amplitude_curves(result_cases.decay()),
+    "axis": lambda: identify_axis(
+        DrivenAxis(duration_s=4.0, speed=0.3, period_s=2e-3).record(0), force="force"
+    ),
+    "best_linear_approximation": result_cases.best_linear,
+    "modal_analysis": lambda: result_cases.result("analyse_modes"),
+    "modal_model": lambda: result_cases.result("identify").model,
+    "transfer_function": lambda: result_cases.result("estimate_transfer_function").model,
+    "multi_input_model": lambda: result_cases.result("several inputs").model,
+    "frequency_record": result_cases.lines,
+    "frequency record with gaps": lines_with_gap,
+    "frequency record without variances": lambda: FrequencyRecord([1.0, 2.0], [1.0 + 2.0j, -0.0 - 1e-300j]),
+    "recipe": lambda: LogChirp(start_frequency=0.1 + 0.2),
+}
+"""One of everything that can be stored."""
+
+
+@functools.cache
+def stored(name: str) -> Any:
+    return MAKERS[name]()
+
+
+NAMES = tuple(MAKERS)
 ADDED_LATER = {
     "decay_rate",
     "output_delays_s",
@@ -91,9 +101,10 @@ def assert_same(first: Any, second: Any, where: str = "") -> None:
         assert first == second or (first != first and second != second), where
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("name", NAMES)
 def test_json_text_carries_everything_exactly(name):
-    value = stored()[name]
+    value = stored(name)
     # allow_nan=False: NaN and Infinity are no JSON, and other readers stumble over them.
     text = json.dumps(value.to_dict(), allow_nan=False)
     assert_same(restore(json.loads(text)), value)
@@ -102,7 +113,7 @@ def test_json_text_carries_everything_exactly(name):
 
 @pytest.mark.parametrize("name", NAMES[:-1])
 def test_type_and_schema_are_stated_and_asked_for(name):
-    value = stored()[name]
+    value = stored(name)
     data = value.to_dict()
     # Frequency records carry warnings since schema 2, and so do modal analyses, which hold one; free decays have
     # the whole table of orders.
@@ -117,7 +128,7 @@ def test_type_and_schema_are_stated_and_asked_for(name):
 
 @pytest.mark.parametrize("name", NAMES[:-1])
 def test_every_missing_entry_is_refused_by_name(name):
-    value = stored()[name]
+    value = stored(name)
     data = value.to_dict()
     for entry in set(data) - ADDED_LATER - {"schema", "type", "parameter_names"}:
         short = {key: own for key, own in data.items() if key != entry}
@@ -125,9 +136,10 @@ def test_every_missing_entry_is_refused_by_name(name):
             type(value).from_dict(short)
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("name", NAMES[:-1])
 def test_entries_of_another_kind_are_refused(name):
-    value = stored()[name]
+    value = stored(name)
     for entry, own in value.to_dict().items():
         if isinstance(own, list) and own and entry not in ("parameter_names", "warnings"):
             bad = copy.deepcopy(value.to_dict())
@@ -138,7 +150,7 @@ def test_entries_of_another_kind_are_refused(name):
 
 @pytest.mark.parametrize("name", OWN)
 def test_shapes_that_do_not_agree_are_refused(name):
-    value = stored()[name]
+    value = stored(name)
     data = value.to_dict()
     own = {
         "subspace_model": "denominator",
@@ -152,15 +164,15 @@ def test_shapes_that_do_not_agree_are_refused(name):
 
 
 def test_entries_inside_entries_are_refused_by_their_place():
-    data = stored()["free_decay"].to_dict()
+    data = stored("free_decay").to_dict()
     data["whiteness"][0].pop("band")
     with pytest.raises(ModelFormatError, match=r"whiteness\[0\].band"):
         restore(data)
-    data = stored()["free_decay"].to_dict()
+    data = stored("free_decay").to_dict()
     data["orders"][0]["converged"] = "yes"
     with pytest.raises(ModelFormatError, match=r"orders\[0\].converged is 'yes'; expected bool"):
         restore(data)
-    data = stored()["modal_analysis"].to_dict()
+    data = stored("modal_analysis").to_dict()
     data["form"] = "velocity"
     with pytest.raises(ModelFormatError, match="form is 'velocity'; expected one of 'receptance'"):
         restore(data)
@@ -183,11 +195,11 @@ def test_a_recipe_is_known_by_its_kind():
 
 def test_a_model_of_another_kind_is_refused():
     with pytest.raises(ModelFormatError, match="'free_decay' of schema 2; expected a 'modal_model'"):
-        ModalModel.from_dict(stored()["free_decay"].to_dict())
+        ModalModel.from_dict(stored("free_decay").to_dict())
 
 
 @pytest.mark.parametrize("bad", [{"real": [1.0]}, [1.0, 2.0], 3.0])
 def test_complex_numbers_without_both_of_their_parts_are_refused(bad):
-    data = stored()["free_decay"].to_dict() | {"amplitudes": bad}
+    data = stored("free_decay").to_dict() | {"amplitudes": bad}
     with pytest.raises(ModelFormatError, match="expected the entries 'real' and 'imag'"):
         restore(data)

@@ -76,6 +76,7 @@ def emulated(mode: str) -> EmulatedFirmware:
     return EmulatedFirmware(parameters, RigidPlant(0.8, parameters.period), device, boot_id=5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", COMMAND_MODES)
 def test_the_core_keeps_the_protocol_in_every_command_mode(mode):
     with VirtualCore(COMMAND_MODES.index(mode)) as core:
@@ -128,6 +129,7 @@ def by_tick(host: Host) -> dict[int, tuple[float, int]]:
     return {b.first_tick + k: (b.applied[k], b.position_counts[k]) for b in batches for k in range(len(b))}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", ["acceleration", "velocity", "position"])
 @pytest.mark.parametrize("seed", range(6))
 def test_the_core_does_what_the_emulator_does_on_random_commands(mode, seed):
@@ -166,6 +168,7 @@ def test_the_core_does_what_the_emulator_does_on_random_commands(mode, seed):
         assert max(abs(ours[tick][1] - theirs[tick][1]) for tick in shared) <= 1
 
 
+@pytest.mark.slow
 def test_the_core_does_not_drift_from_the_emulator_over_a_long_sequence():
     """The bound that docs/firmware.md gives: nothing; both calculate in the same order."""
     values = np.tile(rest_to_rest(997), 20)

@@ -117,6 +117,7 @@ def make_ready(bootstrap: ModuleType, clone: Path, **changes: Any) -> Path:
     return bin_folder
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize(
     ("changes", "parts"),
     [
@@ -271,6 +272,7 @@ def test_an_environment_made_from_something_else_is_not_ready(
     assert not bootstrap.Setup(bootstrap.parse(["--extras", "ros"])).is_ready()
 
 
+@pytest.mark.slow
 def test_without_a_network_one_line_names_the_log_and_the_next_call_starts_anew(clone: Path) -> None:
     (clone / ".venv").mkdir()
     (clone / ".venv" / "beam-setup.json").write_text('{"is_complete": false}')
@@ -310,6 +312,7 @@ def test_the_suites_commands_start_with_signals_held_back_and_others_as_pip_made
     assert (bin_folder / "other").read_text() == other
 
 
+@pytest.mark.slow
 def test_an_interrupted_set_up_says_so_and_leaves_no_process(clone: Path) -> None:
     # A package index that accepts the connection and never answers keeps pip and its own children waiting.
     mark = uuid.uuid4().hex

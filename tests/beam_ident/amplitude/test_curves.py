@@ -35,6 +35,7 @@ def inside(curves: AmplitudeCurves, oscillator: Oscillator) -> tuple[bool, bool]
     return result[0], result[1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("oscillator", [CUBIC, SOFT, DRY], ids=["cubic", "soft", "dry"])
 def test_the_true_curves_lie_in_their_bands(oscillator: Oscillator) -> None:
     found = [amplitude_curves(noisy(oscillator, 1e-4, seed)) for seed in range(3)]
@@ -46,6 +47,7 @@ def test_the_true_curves_lie_in_their_bands(oscillator: Oscillator) -> None:
         assert np.all((reach > 2.2) & (reach < 3.0))
 
 
+@pytest.mark.slow
 def test_bands_hold_a_curve_that_is_of_no_law() -> None:
     """A bent strip's inertia changes with its place, which damps to second order: no term of the first law does."""
     inertia, zeta, beta = 0.06 / UNIT**2, 0.005, 0.008 * 3.0 * np.pi / (4.0 * UNIT)
@@ -72,6 +74,7 @@ def test_bands_hold_a_curve_that_is_of_no_law() -> None:
     assert sum(held) >= 6, held
 
 
+@pytest.mark.slow
 def test_what_is_stiffer_to_one_side_keeps_its_damping() -> None:
     """x'' + 2 zeta w x' + w^2 (x + b x^2) = 0, whose damping came out 4 % off, beside a band of 2 %.
 
@@ -93,6 +96,7 @@ def test_what_is_stiffer_to_one_side_keeps_its_damping() -> None:
     assert curves.frequencies_hz == pytest.approx(falls, rel=5e-5)
 
 
+@pytest.mark.slow
 def test_a_rest_before_the_release_is_left_out() -> None:
     ringing = noisy(CUBIC, 1e-4, 1)
     still = 2e-3 + 1e-6 * np.random.default_rng(2).standard_normal(300)
@@ -106,6 +110,7 @@ def test_a_rest_before_the_release_is_left_out() -> None:
     assert not any("rested" in warning for warning in expected.warnings)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("zeta", "duration_s"), [(1e-4, 15.0), (5e-4, 10.0), (4e-3, 3.0)])
 def test_amplitudes_that_hardly_differ_are_one_pole(zeta: float, duration_s: float) -> None:
     curves = amplitude_curves(noisy(Oscillator(zeta=zeta), 1e-4, 3, duration_s))
@@ -129,6 +134,7 @@ def test_the_bands_hold_as_often_as_they_say(name: str) -> None:
         assert found["one pole"] >= 0.85, found
 
 
+@pytest.mark.slow
 def test_verdicts_name_what_changes() -> None:
     linear = amplitude_curves(noisy(Oscillator(), 1e-4, 2))
     assert linear.is_one_pole
@@ -140,6 +146,7 @@ def test_verdicts_name_what_changes() -> None:
     assert "(-0.99 %)" in soft.verdict
 
 
+@pytest.mark.slow
 def test_two_decays_share_one_law_and_reach_further() -> None:
     large = noisy(DRY, 1e-4, 1, 5.0)
     t, x = DRY.swing(15.0, 100.0)
@@ -153,6 +160,7 @@ def test_two_decays_share_one_law_and_reach_further() -> None:
     assert all(inside(both, DRY))
 
 
+@pytest.mark.slow
 def test_other_outputs_and_modes_stand_beside() -> None:
     first = noisy(CUBIC, 5e-5, 1)
     rng = np.random.default_rng(7)
@@ -169,6 +177,7 @@ def test_other_outputs_and_modes_stand_beside() -> None:
     )
 
 
+@pytest.mark.slow
 def test_an_exposure_does_not_make_the_amplitude_smaller() -> None:
     t, x = CUBIC.swing(15.0, 4000.0)
     mean = np.convolve(x, np.ones(160) / 160.0, mode="same")[200::40]  # 40 ms of 228
@@ -179,6 +188,7 @@ def test_an_exposure_does_not_make_the_amplitude_smaller() -> None:
     assert curves.frequency_hz_at(middle) == pytest.approx(np.interp(middle, A[::-1], f[::-1]), rel=2e-5)
 
 
+@pytest.mark.slow
 def test_curves_are_stored_whole() -> None:
     curves = amplitude_curves(noisy(CUBIC, 1e-4, 3))
     again = AmplitudeCurves.from_dict(json.loads(json.dumps(curves.to_dict())))
@@ -190,6 +200,7 @@ def test_curves_are_stored_whole() -> None:
     assert AmplitudeCurves.from_dict(older).third_harmonic == w[1] / (12.0 * w[0])
 
 
+@pytest.mark.slow
 def test_what_cannot_have_a_curve_is_refused() -> None:
     t, x = CUBIC.swing(2.0, 100.0)
     with pytest.raises(EstimationError, match="record a longer decay"):

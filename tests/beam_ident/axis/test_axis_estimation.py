@@ -35,6 +35,7 @@ def test_a_closed_loop_gives_mass_and_friction_without_the_bias_of_filtered_deri
     assert found.check.is_white
 
 
+@pytest.mark.slow
 def test_intervals_hold_over_many_closed_loops() -> None:
     short = DrivenAxis(duration_s=4.0, period_s=2e-3, noise=2e-5, speed=0.3)
     all_scores = np.array([scores(short, seed, delay_s=0.0) for seed in range(20)])
@@ -43,6 +44,7 @@ def test_intervals_hold_over_many_closed_loops() -> None:
     assert np.max(np.abs(np.mean(all_scores, axis=0))) < 0.8
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize(
     "axis",
     [
@@ -72,6 +74,7 @@ def test_axes_unlike_each_other_are_found(axis: DrivenAxis) -> None:
     assert np.max(np.abs(scores(dataclasses.replace(axis, duration_s=min(axis.duration_s, 10.0))))) < 4.5
 
 
+@pytest.mark.slow
 def test_friction_that_differs_by_direction_and_a_delay_are_seen_in_the_data() -> None:
     axis = DrivenAxis(
         viscous=(150.0, 250.0), coulomb=(30.0, 15.0), offset=0.0, delay_steps=3, duration_s=8.0, noise=2e-6
@@ -84,6 +87,7 @@ def test_friction_that_differs_by_direction_and_a_delay_are_seen_in_the_data() -
     assert found.resistance_backward == pytest.approx(15.0, rel=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1])
 def test_a_late_servo_that_feeds_noise_back_leaves_no_false_delay(seed: int) -> None:
     # Every whole period was a minimum of its own, and masses were a hundred standard deviations off in one of them.
@@ -95,6 +99,7 @@ def test_a_late_servo_that_feeds_noise_back_leaves_no_false_delay(seed: int) -> 
     assert np.max(np.abs(found.other_estimates - axis.truth) / found.other_sd) < 4.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [124, 143])
 def test_noise_that_makes_a_delay_likely_leaves_no_false_delay(seed: int) -> None:
     """The fit with it ends in an optimum that leaves more than the fit without it."""
@@ -104,6 +109,7 @@ def test_noise_that_makes_a_delay_likely_leaves_no_false_delay(seed: int) -> Non
     assert np.max(np.abs(found.estimates[:4] - axis.truth) / found.standard_deviations[:4]) < 4.0
 
 
+@pytest.mark.slow
 def test_a_known_mass_turns_a_current_into_newtons() -> None:
     record = SHORT.record(5)
     current = InputSignal("current", "A", (0.0, SHORT.period_s), record.inputs[0].values / 7.5)
@@ -117,6 +123,7 @@ def test_a_known_mass_turns_a_current_into_newtons() -> None:
     assert alone.value("mass") == pytest.approx(SHORT.mass / 7.5, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_forces_that_nobody_measured_are_left_to_inverse_dynamics() -> None:
     axis = DrivenAxis(disturbance=2.0, duration_s=12.0)
     found = identify_axis(axis.record(2), force="force", reference="reference")
@@ -141,6 +148,7 @@ def test_inverse_dynamics_see_a_delay_and_a_difference_by_direction_too() -> Non
     assert again.parameters.delay == pytest.approx(4e-3, rel=0.01)
 
 
+@pytest.mark.slow
 def test_gaps_in_force_and_position_and_several_records_are_one_fit() -> None:
     records = []
     for seed in range(2):
@@ -160,6 +168,7 @@ def test_gaps_in_force_and_position_and_several_records_are_one_fit() -> None:
     assert found.method == "output_error"
 
 
+@pytest.mark.slow
 def test_another_record_confirms_the_axis_and_names_what_has_changed() -> None:
     found = identify_axis(SHORT.record(0), force="force")
     same = check_axis(found, SHORT.record(1))
@@ -173,6 +182,7 @@ def test_another_record_confirms_the_axis_and_names_what_has_changed() -> None:
     assert "the direction" in changed.verdict
 
 
+@pytest.mark.slow
 def test_a_beam_on_the_axis_takes_its_part_of_the_mass_where_its_modes_are_known() -> None:
     beam = BeamModel(strip(damping=Damping(ratios=(0.01,))), 3)
     servo = PositionServo(proportional=7000.0, derivative=110.0)
@@ -201,6 +211,7 @@ def test_a_beam_on_the_axis_takes_its_part_of_the_mass_where_its_modes_are_known
 SPRUNG = CompliantAxis(duration_s=4.0, period_s=2e-3, speed=0.3, is_of_drive=True)
 
 
+@pytest.mark.slow
 def test_a_spring_between_drive_and_hub_is_found_from_the_drives_encoder_without_any_masses() -> None:
     found = identify_axis(SPRUNG.record(1), force="force", encoder="drive")
     truth = dict(zip(NAMES, SPRUNG.truth, strict=True)) | {"stiffness": 1e6, "drive_mass": 20.0}
@@ -223,6 +234,7 @@ def test_a_spring_between_drive_and_hub_is_found_from_the_drives_encoder_without
     assert abs(stiff.value("mass") - SPRUNG.mass) > 4.0 * stiff.sd("mass")
 
 
+@pytest.mark.slow
 def test_the_hubs_encoder_tells_the_stiffness_where_the_mass_of_the_drive_is_known() -> None:
     axis = dataclasses.replace(SPRUNG, is_of_drive=False, speed_gain=8.0, place_gain=6.0, duration_s=8.0)
     found = identify_axis(axis.record(2), force="force", drive_mass=20.0)
@@ -231,6 +243,7 @@ def test_the_hubs_encoder_tells_the_stiffness_where_the_mass_of_the_drive_is_kno
     assert found.sd("stiffness") < 0.1 * 1e6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "axis",
     [
@@ -248,6 +261,7 @@ def test_a_drive_without_a_spring_is_called_stiffer_than_a_limit(axis: DrivenAxi
     assert "stiffer than" in found.summary()
 
 
+@pytest.mark.slow
 def test_forces_that_nobody_measured_leave_open_whether_a_drive_is_compliant() -> None:
     axis = DrivenAxis(disturbance=2.0, duration_s=6.0)
     found = identify_axis(axis.record(2), force="force", reference="reference", drive_mass=20.0)
@@ -269,6 +283,7 @@ def test_an_axis_that_shows_too_little_is_refused_with_what_to_record(change, wo
         identify_axis(dataclasses.replace(SHORT, **change).record(1), force="force")
 
 
+@pytest.mark.slow
 def test_arguments_out_of_place_are_refused() -> None:
     record = SHORT.record(0)
     for options, words in (

@@ -35,6 +35,7 @@ def approximation(of=None, **more):
     return best_linear_approximation(records() if of is None else of, 1.0, **options)
 
 
+@pytest.mark.slow
 def test_bands_hold_noise_and_distortion_and_the_response_errs_as_stated():
     # The truth is a sum over all combinations of lines. 10 studies of 45 lines: 900 bands, 0.7 % of scatter.
     case = NoisyInput()
@@ -89,6 +90,7 @@ def test_even_and_odd_lines_show_their_own_part():
     assert found.verdict.startswith("nonlinear: distortion of -")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("has_reference", [True, False])
 def test_in_a_loop_the_reference_removes_the_bias_that_comes_around(has_reference):
     # y = 2 u + d, u = r - 0.4 y: a gain of 2 in a loop; d is noise, and what repeats with every realisation.
@@ -123,6 +125,7 @@ def test_in_a_loop_the_reference_removes_the_bias_that_comes_around(has_referenc
         assert [said for said in best.warnings if "reference_name" in said]
 
 
+@pytest.mark.slow
 def test_variances_of_detection_lines_are_of_the_same_kind_as_those_of_excited_ones():
     # What comes around a loop into the input, here as strong as the reference, is no part of what excites.
     n, rng, given = 256, np.random.default_rng(3), []
@@ -148,6 +151,7 @@ def test_variances_of_detection_lines_are_of_the_same_kind_as_those_of_excited_o
     assert np.mean(best.odd.noise) == pytest.approx(np.mean(best.excited.noise), rel=0.4)
 
 
+@pytest.mark.slow
 def test_noise_of_the_input_does_not_bias_the_response():
     # A thousandth of a period's amplitude is left of the bias of H1, 5 % here.
     case = NoisyInput()
@@ -198,6 +202,7 @@ def test_realisations_may_excite_lines_of_their_own():
         approximation(excited_hz=of_each[:2])
 
 
+@pytest.mark.slow
 def test_periods_that_still_settle_are_left_out():
     given = records()
     t = given[0].outputs[0].times_s
@@ -228,6 +233,7 @@ def test_stamps_off_the_grid_and_lost_samples_change_nothing():
     assert np.median(found.excited.noise / whole.excited.noise) == pytest.approx(1.0, abs=0.1)
 
 
+@pytest.mark.slow
 def test_a_model_is_fitted_with_the_total_or_with_the_noise_covariance():
     found = approximation()
     total, noise = (
@@ -267,6 +273,7 @@ def test_it_goes_through_json():
     assert again.distortion == found.distortion
 
 
+@pytest.mark.slow
 def test_the_report_draws_response_noise_and_distortion_with_the_test_of_the_detection_lines():
     found = approximation()
     page = Page("title", "lead")
@@ -319,6 +326,7 @@ def test_bad_input_is_refused_with_the_remedy(of, more, says):
         approximation(of(), **more)
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("period_s", [1.001, 0.9997])
 def test_a_period_that_is_slightly_wrong_is_refused_with_the_likely_one(period_s):
     with pytest.raises(EstimationError, match=r"later from period to period .* may be (1\.0000|0\.9999)"):

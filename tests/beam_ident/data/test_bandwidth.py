@@ -53,6 +53,7 @@ def test_a_short_blow_is_no_standstill_and_noise_is():
     assert not band_of(noise, sigma=1.0).is_excited
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize(("start_s", "length_s"), [(0.119, 0.44), (5.619, 0.06), (9.219, 0.8)])
 def test_a_rough_bridge_over_a_gap_is_no_excitation(start_s, length_s):
     # An encoder of 0.1 um: what fills the gap moves as little as it should, and shakes.
@@ -66,6 +67,7 @@ def test_a_rough_bridge_over_a_gap_is_no_excitation(start_s, length_s):
     assert 50.0 < band.high_hz < 100.0
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("seed", [5, 6, 7])
 def test_many_short_gaps_hide_nothing_that_a_sweep_excites_between_them(seed):
     # With 50 lost messages of 20 ms no piece between two is as long as the sweep takes to pass.

@@ -39,7 +39,7 @@ RECIPES = [
     Multisine(
         end_frequency=20.0, line_period=4.0, n_periods=1, lines="random_odd", detection_group=4, seed=3
     ),
-    Multisine(end_frequency=20.0, line_period=2.0, still=0.0, phases="crest"),
+    Multisine(end_frequency=8.0, line_period=1.0, still=0.0, phases="crest"),
     Multisine(end_frequency=20.0, line_period=2.0, phases="schroeder", max_velocity=0.001),
     ShapedMultisine(duration=5.0, still=1.0),
     ShapedMultisine(frequencies=(7.3,), amplitudes=(3.0,), line_phases=(1.0,), duration=2.5, still=0.0),

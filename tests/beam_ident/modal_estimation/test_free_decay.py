@@ -26,6 +26,7 @@ def decays(noise, seed=0, exposure=0.0, times=TIMES):
 
 
 # 20 ms are 0.57 of the second mode's period: the box takes half of it away.
+@pytest.mark.first_case
 @pytest.mark.parametrize("exposure", [0.0, 1e-6, 0.01, 0.02])
 def test_two_modes_ring_at_irregular_stamps_and_are_found_exactly(exposure):
     found = fit_free_decay(decays(0.0, exposure=exposure))
@@ -65,6 +66,7 @@ def test_nothing_that_rings_is_refused():
         fit_free_decay(decays(0.1), n_modes=0)
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("load", [0.0, 1.0, -0.4])  # what the structure is held by until it is let go
 @pytest.mark.parametrize("noise", [0.0, 0.003, 0.05])
 def test_a_rest_before_the_decay_is_left_out(load, noise):
@@ -101,6 +103,7 @@ def test_what_swells_is_not_taken_for_a_decay_after_a_rest():
         assert end_of_rest([OutputSignal("tip", "m", times, swelling)]) is None
 
 
+@pytest.mark.slow
 def test_many_points_find_what_the_best_of_them_finds_alone():
     case = ManyPoints()
     points = case.signals(3)
@@ -114,6 +117,7 @@ def test_many_points_find_what_the_best_of_them_finds_alone():
     assert np.max(np.abs(errors / case.bound)) < 4.0
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("shape", ["straight", "bent"])
 def test_drift_is_no_mode_and_hides_none(shape):
     elapsed = (TIMES - TIMES[0]) / 6.0
@@ -128,6 +132,7 @@ def test_drift_is_no_mode_and_hides_none(shape):
     assert found.natural_frequency_sd == pytest.approx(still.natural_frequency_sd, rel=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("step", "n_modes"), [(2.0, None), (1.0, None), (1.0, 2)])
 def test_a_walk_that_is_louder_than_a_mode_does_not_hide_it(step, n_modes):
     # With equal weights its own slow swings are the next modes, or the search ends at the first one.
@@ -172,6 +177,7 @@ def test_the_slopes_of_a_decay_seen_through_an_exposure_are_its_differences():
     np.testing.assert_allclose(found.by_zeta[:, 0], by_zeta, atol=1e-4 * size)
 
 
+@pytest.mark.slow
 def test_a_sensor_with_a_dead_band_is_named_and_a_sound_one_is_not():
     named = {0.0: 0, 0.1: 0}
     for seed in range(10):

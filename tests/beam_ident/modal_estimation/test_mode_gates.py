@@ -115,6 +115,7 @@ def words(text: str) -> str:
     return re.sub(r"\d+(\.\d+)?(e[+-]?\d+)?", "#", text)
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("domain", range(3), ids=[make.__name__ for make in DOMAINS])
 @pytest.mark.parametrize("case", CASES)
 def test_the_same_cases_through_all_three_domains_give_the_same_verdicts(case, domain):
@@ -140,6 +141,7 @@ def test_noise_alone_is_refused_with_the_same_words(make):
         fit(None)
 
 
+@pytest.mark.slow
 def test_a_mode_that_the_noise_as_it_is_leaves_in_doubt_is_refused():
     """Four time constants under noise, as of a hydraulic actuator: with equal weights one mode is believed."""
     rng, n, step = np.random.default_rng(2), 300, 0.01
@@ -170,6 +172,7 @@ def _swept(outputs: Callable[[np.ndarray], np.ndarray]) -> TimeRecord:
     )
 
 
+@pytest.mark.slow
 def test_one_mode_under_drag_that_passes_for_several_is_named() -> None:
     def dragged(ticks: np.ndarray) -> np.ndarray:
         omega, moved = 2.0 * np.pi * 5.0, np.zeros((len(ticks), 2))
@@ -201,6 +204,7 @@ def test_two_close_modes_of_different_shapes_are_believed() -> None:
     assert not any("overlap" in said for said in result.warnings)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("factor", "words"),
     [(-1.0, ["sign"]), (1e3, ["millimetres"]), (-1e3, ["sign", "millimetres"]), (1.1, [])],
@@ -226,6 +230,7 @@ def test_beyond_half_the_frame_rate_a_mode_stands_where_the_input_has_power(hert
     assert (not band.reach_hz[0] < hertz < band.reach_hz[1]) == is_refused
 
 
+@pytest.mark.slow
 def test_a_wander_neither_is_a_mode_nor_hides_one():
     record = beam_record(8, LogChirp(end_frequency=95.0))
     wander = 10e-6 * np.cos(2.0 * np.pi * 1.02 * record.outputs[0].times_s)

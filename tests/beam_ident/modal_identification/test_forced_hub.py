@@ -33,6 +33,7 @@ def servo():
     return SoftServoCase(chirp=SHORT)
 
 
+@pytest.mark.slow
 def test_the_measured_position_of_a_soft_servo_gives_the_clamped_beam(servo):
     outcome = servo.run(1)
     assert np.max(np.abs((outcome.estimate - servo.truth) / outcome.sd)) < 4.0
@@ -40,6 +41,7 @@ def test_the_measured_position_of_a_soft_servo_gives_the_clamped_beam(servo):
     assert np.max(np.abs(servo.positions - servo.set_points)) > 1e-5
 
 
+@pytest.mark.slow
 def test_the_set_point_of_a_soft_servo_gives_other_poles(servo):
     record = servo.record(1)
     set_point = InputSignal("hub", "m", (0.0, 1e-3), servo.set_points, "cubic")
@@ -53,6 +55,7 @@ def test_the_set_point_of_a_soft_servo_gives_other_poles(servo):
     assert 5 < phrases.count("looking for mode 1") < 20
 
 
+@pytest.mark.slow
 def test_a_force_on_the_hub_gives_the_modes_of_the_free_hub_and_its_mass():
     case = FreeHubCase(SHORT)
     outcome = case.run(1)
@@ -61,6 +64,7 @@ def test_a_force_on_the_hub_gives_the_modes_of_the_free_hub_and_its_mass():
     assert np.all(case.truth[:2] > clamped + 10.0 * outcome.sd[:2])
 
 
+@pytest.mark.slow
 def test_the_beam_itself_is_found_from_a_start_thirty_percent_off():
     case = PhysicalCase(SHORT)
     outcome = case.run(1)
@@ -160,6 +164,7 @@ def bare_axis(unit: str, seed: int = 0, is_smooth: bool = False) -> TimeRecord:
     return TimeRecord((drive,), (OutputSignal("axis", unit, PERIOD_S * np.arange(len(seen)), seen),))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("unit", ["m", "m/s"])
 def test_an_axis_without_a_mode_has_its_mass_alone(unit):
     deviations = []
@@ -176,6 +181,7 @@ def test_an_axis_without_a_mode_has_its_mass_alone(unit):
     assert "mass [kg]" in identification_page("axis", record, result).text()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("is_smooth", [False, True])
 def test_a_mass_alone_is_found_behind_late_stamps_and_a_gap_of_its_force(is_smooth):
     record = bare_axis("m", is_smooth=is_smooth)
@@ -191,6 +197,7 @@ def test_a_mass_alone_is_found_behind_late_stamps_and_a_gap_of_its_force(is_smoo
     assert any("force has 1 gap" in said for said in result.warnings)
 
 
+@pytest.mark.slow
 def test_an_axis_that_the_force_has_nothing_to_do_with_has_no_mass():
     record = bare_axis("m")
     wandering = np.cumsum(np.random.default_rng(1).standard_normal(500))

@@ -35,6 +35,7 @@ def late(seed: int, delays: Mapping[str, float], rates: Mapping[str, float] | No
     return TimeRecord(record.inputs, tuple(outputs))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("delay", [3e-3, -20e-3, 30e-6, 80e-3, -0.19, 0.5, -1.2])
 def test_a_delay_of_one_output_is_found_and_costs_nothing(delay: float) -> None:
     model = identify(late(1, {"z225": delay})).model

@@ -41,6 +41,7 @@ def scores(model, truth) -> np.ndarray:
     return (model.parameters[:k] - truth) / model.standard_deviations[:k]
 
 
+@pytest.mark.slow
 def test_the_quiet_and_the_loud_record_count_by_their_noise(case):
     outcomes = [case.run(seed) for seed in range(12)]
     errors = np.array([o.estimate - case.truth for o in outcomes])
@@ -81,6 +82,7 @@ def test_every_record_keeps_what_is_its_own(case):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["srivc", "output_error", "rivc", "ivsvf", "lssvf"])
 def test_every_method_takes_several_records(case, method):
     records = [benchmark_record(0, 20.0), benchmark_record(1, 10.0)]
@@ -118,6 +120,7 @@ def test_one_record_in_a_list_is_that_record():
     )
 
 
+@pytest.mark.slow
 def test_colours_differ_from_record_to_record():
     clean = rao_garnier.response(rao_garnier.prbs(2000))
     level = rao_garnier.noise_level(clean, 10.0)
@@ -142,6 +145,7 @@ def late(record: TimeRecord, delay_s: float, start_s: float) -> TimeRecord:
     return TimeRecord((shifted,), (OutputSignal("y", "", stamps, output.values[keep]),))
 
 
+@pytest.mark.slow
 def test_an_unknown_delay_is_common():
     records = [late(benchmark_record(0, 15.0, 1000), 0.1234, 0.0)]
     records.append(late(benchmark_record(1, 5.0, 1500), 0.1234, 50.0))
@@ -189,6 +193,7 @@ def test_common_poles_weigh_every_output_in_every_record(case):
         assert np.max(np.abs(scores(model, case.truth))) < 4.0
 
 
+@pytest.mark.slow
 def test_a_loop_may_be_recorded_several_times():
     records = [loop_record(0, 0.9, 20.0, 1500), loop_record(1, 0.0, 5.0, 1500)]
     found = estimate_in_closed_loop(records, CONTROLLER, 3, 1, "reference", "drive", has_offset=True)
@@ -201,6 +206,7 @@ def test_a_loop_may_be_recorded_several_times():
     np.testing.assert_array_equal(found.residuals, np.concatenate([own.residuals for own in found.records]))
 
 
+@pytest.mark.slow
 def test_a_subspace_and_a_choice_of_order_take_several_records(case):
     model = subspace_model([benchmark_record(0, 20.0), benchmark_record(1, 20.0)], 4)
     truth = np.roots(np.concatenate([[1.0], case.truth[:4]]))
@@ -270,6 +276,7 @@ def films() -> TwoFilms:
     return TwoFilms()
 
 
+@pytest.mark.slow
 def test_modes_weigh_every_output_in_every_record(films):
     outcomes = [films.run(seed) for seed in range(3)]
     z = np.array([(o.estimate - films.truth) / o.sd for o in outcomes])
@@ -278,6 +285,7 @@ def test_modes_weigh_every_output_in_every_record(films):
     np.testing.assert_allclose(np.median([o.sd for o in outcomes], axis=0), films.bound, rtol=0.1)
 
 
+@pytest.mark.slow
 def test_films_keep_what_is_their_own(films):
     found = identify(films.records(0), n_modes=2)
     assert found.converged
@@ -295,6 +303,7 @@ def test_films_keep_what_is_their_own(films):
         assert output.whiteness.is_white
 
 
+@pytest.mark.slow
 def test_a_loud_film_does_not_hide_a_mode_that_a_quiet_one_shows():
     class WeakFilms(TwoFilms):
         model = dataclasses.replace(TwoFilms.model, residues=np.array([[0.01, -0.002], [1.5, -0.02]]))
@@ -307,6 +316,7 @@ def test_a_loud_film_does_not_hide_a_mode_that_a_quiet_one_shows():
     assert found.orders[-1].refused_because
 
 
+@pytest.mark.slow
 def test_modes_weigh_records_of_coloured_noise_too(films):
     found = identify(films.records(0, 0.8), n_modes=2)
     model = found.model
@@ -317,6 +327,7 @@ def test_modes_weigh_records_of_coloured_noise_too(films):
     assert ratio == pytest.approx(6.0, rel=0.25)
 
 
+@pytest.mark.slow
 def test_modes_take_records_of_one_unit_and_input_that_may_lack_an_output(case):
     first, second = case.records(0)
     with pytest.raises(EstimationError, match="expected one unit in all records"):

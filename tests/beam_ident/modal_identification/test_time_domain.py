@@ -44,6 +44,7 @@ def result():
     return identify(beam_record(1, LogChirp()))
 
 
+@pytest.mark.slow
 def test_three_modes_are_found_without_hints_the_third_above_half_the_frame_rate(result):
     assert result.converged
     np.testing.assert_allclose(result.model.natural_frequencies, OMEGAS, rtol=1e-3)
@@ -51,6 +52,7 @@ def test_three_modes_are_found_without_hints_the_third_above_half_the_frame_rate
     assert not result.warnings
 
 
+@pytest.mark.slow
 def test_the_order_table_marks_the_choice_and_says_why_others_were_refused(result):
     chosen = [entry for entry in result.orders if entry.is_chosen]
     assert [entry.n_modes for entry in chosen] == [3]
@@ -64,6 +66,7 @@ def test_scores_are_given_on_the_deflection_too(result):
     assert root.noise_sd == pytest.approx(4e-6, rel=0.06)  # 3000 samples: 1.3 %
 
 
+@pytest.mark.slow
 def test_without_noise_the_command_gives_the_truth_to_rounding():
     model = identify(beam_record(0, noise=0.0, quantity="acceleration"), "acceleration", n_modes=3).model
     np.testing.assert_allclose(model.natural_frequencies, OMEGAS, rtol=1e-9)
@@ -72,6 +75,7 @@ def test_without_noise_the_command_gives_the_truth_to_rounding():
     assert abs(model.latency) < 1e-9
 
 
+@pytest.mark.slow
 def test_a_latency_of_the_stamps_is_estimated_and_does_not_move_the_poles():
     late = identify(beam_record(2, latency=3.1e-3), n_modes=3).model
     assert abs(late.latency - 3.1e-3) < 4.0 * late.latency_sd
@@ -79,6 +83,7 @@ def test_a_latency_of_the_stamps_is_estimated_and_does_not_move_the_poles():
     assert np.max(np.abs(z_scores(late))) < 4.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("known", [Prior(0.62, 0.05), Prior(0.7, np.inf), Prior(-0.5, 0.1)])
 def test_a_latency_far_from_zero_that_is_roughly_known_is_found_there(known):
     late = np.copysign(0.6031, known.mean) * (1.0 if known.mean > 0 else 0.8)
@@ -93,6 +98,7 @@ def test_a_latency_far_from_zero_that_is_roughly_known_is_found_there(known):
     np.testing.assert_allclose(used, all_of_them[np.searchsorted(all_of_them, used - 1e-6)], atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_latency_that_ends_where_the_search_does_is_named():
     """Stamps late by 0.3 s, of a mode of 1 Hz: half a cycle less late is a crest beyond the search as well."""
     rng = np.random.default_rng(7)
@@ -117,6 +123,7 @@ def test_a_latency_that_ends_where_the_search_does_is_named():
     assert not any("where the search does" in said for said in known.warnings)
 
 
+@pytest.mark.slow
 def test_a_prior_on_the_clock_reaches_the_stated_uncertainty():
     record = beam_record(3)
     fixed = identify(record, n_modes=3, **EXACT_CLOCK).model
@@ -128,6 +135,7 @@ def test_a_prior_on_the_clock_reaches_the_stated_uncertainty():
     assert tight.clock_rate_sd < 1e-7
 
 
+@pytest.mark.slow
 def test_samples_that_were_not_seen_are_left_out():
     record = beam_record(4)
     rng = np.random.default_rng(0)
@@ -140,6 +148,7 @@ def test_samples_that_were_not_seen_are_left_out():
     assert np.max(np.abs(z_scores(model))) < 4.0
 
 
+@pytest.mark.slow
 def test_an_irregular_input_gives_the_same_model_as_a_regular_one():
     record = beam_record(5, encoder=0.0)
     drive = record.inputs[0]
@@ -153,6 +162,7 @@ def test_an_irregular_input_gives_the_same_model_as_a_regular_one():
     assert np.max(np.abs(z_scores(model))) < 4.0
 
 
+@pytest.mark.slow
 def test_an_input_that_lacks_three_hundred_samples_gives_the_same_model_as_a_whole_one():
     record = beam_record(5)
     drive = record.inputs[0]
@@ -164,6 +174,7 @@ def test_an_input_that_lacks_three_hundred_samples_gives_the_same_model_as_a_who
     assert np.max(np.abs(z_scores(model))) < 4.0
 
 
+@pytest.mark.slow
 def test_a_long_hole_at_the_beginning_is_no_reason_to_take_outputs_for_late():
     """Filled badly, it looks like a passage of the sweep, and what a mode answers to that like its answer."""
     study = Gaps()
@@ -172,6 +183,7 @@ def test_a_long_hole_at_the_beginning_is_no_reason_to_take_outputs_for_late():
     np.testing.assert_allclose(model.natural_frequencies, study.truth[:3], rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_a_band_limited_hold_makes_up_for_an_input_sampled_at_three_times_its_band():
     record = beam_record(5, encoder=0.0, noise=1e-6)
     drive = record.inputs[0]
@@ -185,6 +197,7 @@ def test_a_band_limited_hold_makes_up_for_an_input_sampled_at_three_times_its_ba
     assert scores["cubic"] > 5.0
 
 
+@pytest.mark.slow
 def test_two_records_share_a_model_and_halve_its_variance():
     one = identify(beam_record(6), n_modes=3, **EXACT_CLOCK).model
     both = identify([beam_record(6), beam_record(7)], n_modes=3, **EXACT_CLOCK).model
@@ -201,6 +214,7 @@ def drifted(record: TimeRecord, offset: float, drift_per_s: float) -> TimeRecord
     return TimeRecord(record.inputs, outputs)
 
 
+@pytest.mark.slow
 def test_experiments_of_different_kinds_share_the_beam_and_keep_their_own_offset_drift_and_start():
     multisine = Multisine(n_periods=1, line_period=8.0, still=4.0)
     records = [
@@ -214,6 +228,7 @@ def test_experiments_of_different_kinds_share_the_beam_and_keep_their_own_offset
         assert output.noise_sd == pytest.approx(4e-6, rel=0.08)  # 900 samples: 2.4 %
 
 
+@pytest.mark.slow
 def test_one_part_of_a_record_is_validated_by_the_other():
     record = beam_record(12)
     model = identify(record.between(0.0, 10.0), n_modes=3).model
@@ -221,6 +236,7 @@ def test_one_part_of_a_record_is_validated_by_the_other():
         assert 0.85 < output.noise_ratio < 1.15
 
 
+@pytest.mark.slow
 def test_offset_ramp_and_a_moving_start_do_not_bias_the_poles():
     record = beam_record(8).between(3.0, 13.0)
     moved = drifted(record, 1e-3, 5e-5)
@@ -232,6 +248,7 @@ def test_offset_ramp_and_a_moving_start_do_not_bias_the_poles():
     assert np.max(np.abs(z_scores(without.model)[:6])) > 10.0
 
 
+@pytest.mark.slow
 def test_models_of_two_records_agree_and_a_changed_model_does_not(result):
     other = identify(beam_record(9), n_modes=3).model
     same = compare_models(result.model, other)
@@ -276,6 +293,7 @@ def test_the_frequency_response_has_bands_that_cover_the_truth(result):
     assert np.max(np.abs(np.angle(found.response / truth)) / found.phase_sd) < 4.5
 
 
+@pytest.mark.slow
 def test_input_noise_that_matters_is_flagged():
     record = beam_record(1, encoder=0.0)
     for sigma, is_flagged in ((1e-9, False), (1e-6, True)):
@@ -335,6 +353,7 @@ def test_hopeless_requests_are_refused_with_what_is_wrong(call, says):
         call()
 
 
+@pytest.mark.slow
 def test_more_modes_than_there_are_end_with_a_warning_for_each_that_is_not_there():
     found = identify(beam_record(1), n_modes=5)
     assert found.model.n_modes == 5
@@ -367,6 +386,7 @@ def test_intervals_cover_the_truth_over_many_records():
     assert np.max(np.abs(np.mean(scores, axis=0))) < 0.3
 
 
+@pytest.mark.slow
 def test_a_model_predicts_a_record_that_it_has_not_seen(result):
     prediction = validate(result.model, beam_record(20, Multisine(n_periods=1, line_period=8.0, still=4.0)))
     for output in prediction.outputs:
@@ -383,6 +403,7 @@ def test_a_model_predicts_a_record_that_it_has_not_seen(result):
         validate(result.model, make_small(np.arange(150.0)))
 
 
+@pytest.mark.slow
 def test_coloured_noise_is_seen_and_widens_the_intervals_of_slow_modes():
     found = identify(coloured_record(1), n_modes=3, **EXACT_CLOCK)
     assert any("not white" in text for text in found.warnings)
@@ -395,6 +416,7 @@ def test_coloured_noise_is_seen_and_widens_the_intervals_of_slow_modes():
     assert np.max(np.abs(z_scores(found.model))) < 4.0
 
 
+@pytest.mark.slow
 def test_offset_and_ramp_are_told_at_the_middle_and_over_the_length():
     record = beam_record(2, noise=1e-7, encoder=0.0)
     outputs = []
@@ -410,6 +432,7 @@ def test_offset_and_ramp_are_told_at_the_middle_and_over_the_length():
     assert {(output.records[0].offset, output.records[0].ramp) for output in plain.outputs} == {(0.0, 0.0)}
 
 
+@pytest.mark.slow
 def test_no_order_is_tried_twice_where_a_sensor_has_a_filter_that_the_model_lacks():
     """A fit that nothing follows from is not searched on from again; a filter takes many orders to explain."""
     rng = np.random.default_rng(2)
@@ -427,6 +450,7 @@ def test_no_order_is_tried_twice_where_a_sensor_has_a_filter_that_the_model_lack
     assert np.min(np.abs(result.model.natural_frequencies / omega - 1.0)) < 0.02
 
 
+@pytest.mark.slow
 def test_what_no_mode_explains_is_left_alone_after_a_few_steps(monkeypatch):
     """Channels that were swapped in mid-record leave much that no number of modes explains."""
     rng = np.random.default_rng(3)

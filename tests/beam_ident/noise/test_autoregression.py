@@ -81,6 +81,7 @@ def record(seed: int, decay: float, pad: int, n: int = 600) -> FrequencyRecord:
     return FrequencyRecord(omegas, np.stack([clean, 0.5 * clean], axis=1) + noise, np.full((n, 2), 0.16))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("decay", "pad"), [(4.6, 1), (0.0, 8)])
 @pytest.mark.parametrize("fit", ["search", "analysis"])
 def test_intervals_cover_where_lines_share_their_errors(fit, decay, pad):

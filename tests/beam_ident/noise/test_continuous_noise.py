@@ -51,6 +51,7 @@ def test_whitening_is_the_inverse_root_of_the_covariance_of_determinant_one(name
     )
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize(
     ("name", "words"),
     [
@@ -89,6 +90,7 @@ def test_white_noise_has_no_process():
     assert sum(continuous_noise(rng.standard_normal(500), times) is not None for _ in range(60)) <= 2
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("name", list(PROCESSES))
 def test_a_process_that_is_known_already_is_followed_in_its_form(name):
     rng = np.random.default_rng(3)

@@ -50,18 +50,21 @@ def said_rate(warnings: tuple[str, ...]) -> list[float]:
     ]
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("rate", RATES)
 def test_a_clock_wrong_by_a_per_cent_is_named_with_its_rate(rate):
     found = clocks_of_record(record(1, rate).outputs, record(1, rate).inputs[0])
     np.testing.assert_allclose(said_rate(tuple(found)), [rate, rate], atol=0.002)
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("rate", RATES)
 @pytest.mark.parametrize("estimate", [welch_response, local_polynomial_response])
 def test_a_response_names_it(estimate, rate):
     assert any("clock" in said for said in estimate(record(2, rate)).fit_warnings)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rate", [-0.01, 0.01])
 def test_a_fit_with_common_poles_names_it(rate):
     assert any("clock" in said for said in estimate_common_poles(record(3, rate, 1500), 2, 0).warnings)
@@ -73,6 +76,7 @@ def test_blows_name_it_with_its_rate(rate):
     np.testing.assert_allclose(said_rate(hammer_response(own).warnings), [rate, rate], atol=0.001)
 
 
+@pytest.mark.slow
 def test_right_clocks_are_not_doubted():
     for seed in range(40):
         own = record(seed, 0.0, 4096 if seed % 2 else 1000, (50, 400, 700) if seed % 4 == 0 else ())

@@ -85,6 +85,7 @@ def test_a_channel_that_died_is_named_although_what_it_leaves_has_the_colour_of_
     assert not misfit_warnings([("y", [(times, sound, noise)])])
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("pole", [0.99, 0.995, 0.998])
 def test_noise_as_slow_as_the_record_is_hardly_ever_a_drift(pole):
     alarms = 0
@@ -121,6 +122,7 @@ def test_an_input_that_was_bent_or_swapped_is_named_and_a_sound_one_is_not():
     assert not found(DRIVE, CLEAN)
 
 
+@pytest.mark.slow
 def test_an_estimate_of_a_record_whose_stamps_are_late_says_so():
     sound = record().select(("y",))
     output = sound.outputs[0]
@@ -130,6 +132,7 @@ def test_an_estimate_of_a_record_whose_stamps_are_late_says_so():
     assert not estimate_transfer_function(sound, 2, 0).warnings
 
 
+@pytest.mark.slow
 def test_noise_that_is_known_to_grow_with_the_speed_is_no_misfit():
     # Stamps that scatter: noise in proportion to the slope, with which causes have their columns.
     speed = np.gradient(CLEAN, TIMES)

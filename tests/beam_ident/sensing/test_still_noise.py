@@ -95,6 +95,7 @@ def undeclared(record: TimeRecord) -> TimeRecord:
     return dataclasses.replace(record, inputs=(dataclasses.replace(record.inputs[0], sigma=0.0),))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("is_cut", [False, True])
 def test_half_a_micrometre_that_nobody_declared_is_weighed_as_if_it_were(is_cut):
     rig = Rig()
@@ -113,6 +114,7 @@ def test_half_a_micrometre_that_nobody_declared_is_weighed_as_if_it_were(is_cut)
     assert np.max(np.abs(errors) / found.model.natural_frequency_sd) < 3.3
 
 
+@pytest.mark.slow
 def test_an_estimator_that_does_not_weigh_it_says_so():
     record = undeclared(Rig().record(2, encoder_sd=2e-6)).select(["z285"])
     found = estimate_transfer_function(record, 4, 4, n_starts=1)
@@ -134,6 +136,7 @@ def test_counts_that_no_motion_follows_or_that_noise_dithers_are_not():
         assert not counted_input_warning(drive)
 
 
+@pytest.mark.slow
 def test_a_hub_of_coarse_steps_is_named_and_feigns_no_mode():
     """The third mode is passed in a step and a half: modes that take its place are in doubt once the noise weighs."""
     record = beam_record(3, LogChirp(), encoder=0.0)

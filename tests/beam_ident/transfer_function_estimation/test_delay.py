@@ -40,6 +40,7 @@ def scores(model: TransferFunctionModel, delay: float) -> np.ndarray:
     return (model.parameters - truth) / model.standard_deviations
 
 
+@pytest.mark.slow
 def test_a_double_pole_behind_eight_seconds_is_found_without_a_hint():
     case = DoublePole()
     for seed in range(3):
@@ -49,6 +50,7 @@ def test_a_double_pole_behind_eight_seconds_is_found_without_a_hint():
         assert np.max(np.abs(z)) < 3.3
 
 
+@pytest.mark.slow
 def test_a_fraction_of_a_sample_is_resolved_on_the_beam():
     case = DelayedBeam()
     model = case.estimate(case.record(0))
@@ -56,6 +58,7 @@ def test_a_fraction_of_a_sample_is_resolved_on_the_beam():
     assert model.standard_deviations[-1] < 3e-5
 
 
+@pytest.mark.slow
 def test_a_numerator_that_makes_up_for_a_wrong_delay_is_seen_through():
     # In this record the first start ends 9 ms late, in a local optimum with white residuals.
     case = DelayedBeam()
@@ -69,6 +72,7 @@ def test_two_points_with_common_modes_know_the_delay_five_times_better():
     assert found.latency_sd < 6e-6
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("hold", ["zoh", "linear", "cubic"])
 @pytest.mark.parametrize("jitter", [0.0, 0.8])
 def test_delays_are_estimated_under_every_hold_at_irregular_stamps(hold, jitter):
@@ -82,6 +86,7 @@ def test_no_delay_is_not_taken_for_one():
     assert np.max(np.abs(scores(model, 0.0))) < 4.0
 
 
+@pytest.mark.slow
 def test_knowledge_of_the_delay_narrows_its_interval():
     free = estimate_transfer_function(late_record(0.25, snr_db=0.0), 2, 1, delay="estimate").model
     known = Prior(0.25, 0.2 * free.standard_deviations[-1])
@@ -90,6 +95,7 @@ def test_knowledge_of_the_delay_narrows_its_interval():
     assert abs(narrow.delay - 0.25) < abs(free.delay - 0.25)
 
 
+@pytest.mark.slow
 def test_a_record_that_begins_in_motion_loses_the_samples_of_an_unknown_past():
     record = late_record(0.25, start_s=3.0)
     found = estimate_transfer_function(record, 2, 1, delay="estimate", has_free_response=True)
@@ -138,6 +144,7 @@ def test_estimators_that_take_a_delay_as_given_do_not_pretend_to_find_it(method)
     assert found.scores.fit_percent > 80.0
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("delay", [Prior(0, np.inf), Prior(0, 1)])
 def test_a_delay_that_is_known_to_whole_seconds_is_estimated_to_fractions(delay):
     model = estimate_transfer_function(late_record(0.1234), 2, 1, delay=delay).model

@@ -152,6 +152,7 @@ def test_integrators_alone_are_refused_with_what_finds_them(k):
         estimate_transfer_function(record(1), 0, 0, n_integrators=k)
 
 
+@pytest.mark.slow
 def test_what_the_refusal_advises_finds_an_integrators_gain():
     own = record(1)
     drive, stamps = own.inputs[0], own.outputs[0].times_s
@@ -178,6 +179,7 @@ def axis(offset: float) -> TimeRecord:
     return TimeRecord((drive,), (OutputSignal("x", "m", stamps, seen),))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("offset", "advice"), [(0.0, ""), (0.1, ", has_offset=True")])
 def test_an_axis_without_its_integrator_is_named_and_the_advice_gives_its_mass(offset, advice):
     record = axis(offset)
@@ -189,11 +191,13 @@ def test_an_axis_without_its_integrator_is_named_and_the_advice_gives_its_mass(o
     assert not any("Ask for" in said for said in found.warnings)
 
 
+@pytest.mark.slow
 def test_a_pole_near_zero_is_offered_as_an_integrator():
     said = " ".join(estimate_transfer_function(axis(0.0), 2, 0).warnings)
     assert "Ask for n_poles=1, n_integrators=1" in said
 
 
+@pytest.mark.slow
 def test_the_search_for_degrees_offers_integrators_and_an_offset():
     selection = select_transfer_function(axis(0.1), [1, 2], [0])
     chosen = next(entry for entry in selection.table if entry.is_chosen)
@@ -227,6 +231,7 @@ def seen(values: np.ndarray, clean: np.ndarray, period: float, noise: float, see
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_an_integrator_that_the_best_structure_hides_in_a_pole_is_offered_to_that_structure(seed):
     """A level that first falls: (0.5 - s) / (s (s + 3)). The pole near zero is refused as unknown, and rightly."""
@@ -239,6 +244,7 @@ def test_an_integrator_that_the_best_structure_hides_in_a_pole_is_offered_to_tha
     np.testing.assert_allclose(model.numerator, [-1.0, 0.5], rtol=0.02)
 
 
+@pytest.mark.slow
 def test_an_offset_is_not_taken_for_an_integrator_that_a_zero_cancels():
     """A step about an operating point of 20: the pole at zero that stands for the offset meets a zero there."""
     values = np.r_[np.zeros(20), np.ones(280)]
@@ -249,6 +255,7 @@ def test_an_offset_is_not_taken_for_an_integrator_that_a_zero_cancels():
     assert selection.chosen.offset == pytest.approx(20.0, abs=0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("slow_part", "is_needed"), [(0.01, False), (0.05, True)])
 def test_a_pole_that_is_hardly_known_is_kept_only_where_nothing_simulates_as_well_without(
     slow_part, is_needed

@@ -150,6 +150,7 @@ def collocation(parameters: BeamParameters, omega: float, heights: np.ndarray, s
     return integrals(heights / parameters.length, 0) @ coefficients
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gravity", ["upright", "hanging"])
 @pytest.mark.parametrize("tip_mass", [0.0, 2e-3])
 def test_gravity_equals_collocation(gravity: str, tip_mass: float) -> None:

@@ -97,6 +97,7 @@ def test_friction_that_would_push_is_refused() -> None:
         HubFriction(coulomb=1.0, coulomb_difference=-2.1)
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("scenario", ["friction", "stops", "both"])
 def test_halving_the_tick_changes_nothing(scenario: str) -> None:
     friction = HubFriction(coulomb=2.0, viscous=1.0) if scenario != "stops" else None
@@ -125,6 +126,7 @@ def test_halving_the_tick_changes_nothing(scenario: str) -> None:
         assert np.abs(finer[:, 1] - ends[0][:, 1]).max() < 1e-8
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("n_modes", [5, 20])
 @pytest.mark.parametrize("scenario", ["friction", "stick and slip", "stops", "both"])
 def test_reversals_and_blows_within_one_tick_are_found(n_modes: int, scenario: str) -> None:
@@ -203,6 +205,7 @@ def test_a_flank_only_pushes_and_nothing_acts_within_the_play() -> None:
     assert servo.force(-2e-5, -0.5, 3.0) == pytest.approx(-48.0)
 
 
+@pytest.mark.slow
 def test_drag_and_large_deflections_act_on_a_free_hub() -> None:
     terms = NonlinearTerms(MODEL, AirDrag(0.025, 6.0))
     n, forces = MODEL.n_modes, np.repeat([0.4, -0.4, 0.2], 100)

@@ -82,6 +82,7 @@ CASES = [
 ]
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize(("free", "with_residues"), CASES)
 def test_without_noise_the_truth_is_found_from_thirty_percent_off(
     free: tuple[str, ...], with_residues: bool
@@ -128,6 +129,7 @@ def coverage(free: tuple[str, ...], with_residues: bool, n_draws: int) -> tuple[
     return np.mean(z < 1.96, axis=0), np.sum(z > 3.0, axis=0)
 
 
+@pytest.mark.slow
 def test_intervals_cover_the_truth() -> None:
     inside, beyond = coverage(("stiffness", "viscous", "internal"), False, 30)
     # 30 draws at 95 %: below 0.8, or above 2 beyond 3 sd, less than once in a thousand.

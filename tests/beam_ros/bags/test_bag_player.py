@@ -34,6 +34,7 @@ def _play(executables, path, **parameters):
     return executables.start("bag_player", "--ros-args", *arguments)
 
 
+@pytest.mark.slow
 def test_bytes_come_back_in_their_rhythm_without_commands(executables, graph, tmp_path):
     path = _with_commands(tmp_path / "run")
     measured, commands, infos = [], [], []
@@ -53,6 +54,7 @@ def test_bytes_come_back_in_their_rhythm_without_commands(executables, graph, tm
     assert np.quantile(np.abs(late - np.median(late)), 0.5) < 5e-3
 
 
+@pytest.mark.slow
 def test_commands_are_played_when_told(executables, graph, tmp_path):
     path = _with_commands(tmp_path / "run", batches=5)
     chunks = []
@@ -68,6 +70,7 @@ def test_commands_are_played_when_told(executables, graph, tmp_path):
     ]
 
 
+@pytest.mark.slow
 def test_a_live_hub_by_its_topic_is_refused(executables, graph, tmp_path):
     publisher = graph.publisher("hub/measured")
     player = _play(executables, write_experiment(tmp_path / "run"))
@@ -78,6 +81,7 @@ def test_a_live_hub_by_its_topic_is_refused(executables, graph, tmp_path):
     graph.node.destroy_publisher(publisher)
 
 
+@pytest.mark.slow
 def test_a_live_hub_by_its_name_is_refused_even_when_it_comes_late(executables, tmp_path):
     from tests.graph import Graph
 
@@ -89,6 +93,7 @@ def test_a_live_hub_by_its_name_is_refused_even_when_it_comes_late(executables, 
     assert "node `hub`" in player.output()
 
 
+@pytest.mark.slow
 def test_a_signal_ends_the_replay(executables, tmp_path):
     player = _play(executables, write_experiment(tmp_path / "run", batches=500))
     player.wait_for("playing")
@@ -98,6 +103,7 @@ def test_a_signal_ends_the_replay(executables, tmp_path):
     assert "Traceback" not in player.output()
 
 
+@pytest.mark.slow
 def test_a_bag_that_is_not_there_is_one_line_and_status_2(executables, tmp_path):
     player = _play(executables, tmp_path / "nothing")
     assert player.wait() == 2
@@ -105,6 +111,7 @@ def test_a_bag_that_is_not_there_is_one_line_and_status_2(executables, tmp_path)
     assert len(player.output().strip().splitlines()) == 1
 
 
+@pytest.mark.slow
 def test_a_replay_that_stands_still_goes_step_by_step_and_then_on(executables, graph, tmp_path):
     path = _with_commands(tmp_path / "run", batches=30)
     measured = []
@@ -123,6 +130,7 @@ def test_a_replay_that_stands_still_goes_step_by_step_and_then_on(executables, g
     assert "ms at most" in player.output()
 
 
+@pytest.mark.slow
 def test_a_replay_begins_later_over_and_over_and_makes_the_time(executables, graph, tmp_path):
     path = write_experiment(tmp_path / "run", batches=50)
     measured, clock = [], []
@@ -140,6 +148,7 @@ def test_a_replay_begins_later_over_and_over_and_makes_the_time(executables, gra
     assert START + 7 * 10**8 <= min(clock) < max(clock) <= START + 11 * 10**8
 
 
+@pytest.mark.slow
 def test_a_topic_is_played_under_another_name(executables, graph, tmp_path):
     path = write_experiment(tmp_path / "run", batches=10)
     renamed = []
@@ -150,6 +159,7 @@ def test_a_topic_is_played_under_another_name(executables, graph, tmp_path):
     assert len(renamed) == 10
 
 
+@pytest.mark.slow
 def test_a_tracker_on_replayed_images_finds_the_displacements_that_it_found_live(
     executables, graph, tmp_path
 ):

@@ -69,6 +69,7 @@ def _encoded(k):
     return encode_batch(batch(k))
 
 
+@pytest.mark.slow
 def test_between_start_and_stop_the_bag_takes_the_wires_bytes_and_the_latched_past(
     executables, graph, tmp_path
 ):
@@ -130,6 +131,7 @@ def test_between_start_and_stop_the_bag_takes_the_wires_bytes_and_the_latched_pa
     assert recorder.states[-1]["lost"] == 0
 
 
+@pytest.mark.slow
 def test_images_of_a_best_effort_camera_until_sigint_even_twice(executables, graph, tmp_path):
     images = graph.publisher("camera/image_raw", QualityOfService(5, is_reliable=False))
     recorder = Recorder(executables, graph, tmp_path / "run", images=True)
@@ -143,6 +145,7 @@ def test_images_of_a_best_effort_camera_until_sigint_even_twice(executables, gra
         assert bag.count("camera/image_raw") >= 1
 
 
+@pytest.mark.slow
 def test_a_killed_recorder_loses_less_than_a_second_and_is_repaired(executables, graph, tmp_path):
     recorder = Recorder(executables, graph, tmp_path / "run")
     measured = graph.publisher("hub/measured")
@@ -241,6 +244,7 @@ def _state(graph, k):
     return messages.hub_state(graph.types, messages.HubSample(START + k, 0.001 * k))
 
 
+@pytest.mark.slow
 def test_what_is_needed_and_not_heard_is_named_after_two_seconds(executables, graph, tmp_path):
     values = {"recorder.operator": "'A. Person'", "recorder.max_duration": "1.0", "camera.name": "'cam 2'"}
     recorder = Recorder(executables, graph, tmp_path / "run", at_launch=False, more=values)
@@ -261,6 +265,7 @@ def test_what_is_needed_and_not_heard_is_named_after_two_seconds(executables, gr
     assert json.loads(said["rig"])["camera"]["name"] == "cam 2"
 
 
+@pytest.mark.slow
 def test_what_the_middleware_drops_is_counted(executables, graph, tmp_path):
     recorder = Recorder(executables, graph, tmp_path / "run")
     measured = graph.publisher("hub/measured", QualityOfService(50))
@@ -283,6 +288,7 @@ def test_what_the_middleware_drops_is_counted(executables, graph, tmp_path):
     assert samples.lost == recorder.states[-1]["lost"] * BATCH
 
 
+@pytest.mark.slow
 def test_an_existing_path_ends_with_one_line_and_status_2(executables, tmp_path):
     (tmp_path / "run").mkdir()
     recorder = executables.run("bag_recorder", "--ros-args", "-p", f"recorder.path:={tmp_path / 'run'}")
@@ -292,6 +298,7 @@ def test_an_existing_path_ends_with_one_line_and_status_2(executables, tmp_path)
     assert list((tmp_path / "run").iterdir()) == []
 
 
+@pytest.mark.slow
 def test_sigterm_even_twice_closes_the_bag_of_a_rig_in_a_namespace(executables, graph, tmp_path):
     recorder = Recorder(executables, graph, tmp_path / "run", namespace="/rig1")
     measured = graph.publisher("hub/measured", namespace="/rig1")

@@ -48,12 +48,14 @@ def _batches(draw):
     return SampleBatch(draw(st.integers(1, 2**31 * 10**9 - 1)), period, epoch, **columns)
 
 
+@pytest.mark.slow
 @settings(max_examples=150, deadline=None, derandomize=True)
 @given(_batches())
 def test_bytes_equal_those_of_rosbags_for_every_layout(batch):
     assert encode_batch(batch) == TYPES.serialize(messages.trajectory_batch(TYPES, batch), JOINT_TRAJECTORY)
 
 
+@pytest.mark.slow
 @settings(max_examples=150, deadline=None, derandomize=True)
 @given(_batches())
 def test_decode_inverts_encode_without_the_fallback(batch):

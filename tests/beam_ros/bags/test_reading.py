@@ -288,6 +288,7 @@ def test_a_cut_recording_is_refused_with_its_remedy(tmp_path):
         Bag(path)
 
 
+@pytest.mark.slow
 def test_damage_in_the_middle_of_a_file_never_ends_in_a_foreign_exception(tmp_path):
     path = write_experiment(tmp_path / "run", batches=10)
     file = path / "run_0.mcap"

@@ -237,6 +237,7 @@ while True:
 """
 
 
+@pytest.mark.slow
 def test_a_killed_writer_loses_less_than_a_second(tmp_path):
     path = tmp_path / "run"
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[3])}
@@ -267,6 +268,7 @@ def test_a_killed_writer_loses_less_than_a_second(tmp_path):
         np.testing.assert_array_equal(got.positions, batch(k).positions)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("limits", [FileLimits(size=60_000), FileLimits(duration_ns=1_000_000_000)])
 def test_a_bag_in_several_files_is_read_as_one_and_each_begins_with_what_is_latched(tmp_path, limits):
     one = write_experiment(tmp_path / "one", batches=250)
@@ -298,6 +300,7 @@ def test_a_bag_in_several_files_is_read_as_one_and_each_begins_with_what_is_latc
         assert not list(parts.damage())
 
 
+@pytest.mark.slow
 def test_a_bag_in_several_files_without_metadata_is_not_read_in_part(tmp_path):
     path = write_experiment(tmp_path / "run", batches=100, limits=FileLimits(duration_ns=500_000_000))
     (path / "metadata.yaml").unlink()

@@ -37,6 +37,7 @@ def exchanges(line: Line, seconds: float, step_ns: int = 200_000_000):
     return [line.exchange(HOST_START + k * step_ns) for k in range(int(seconds * 1e9) // step_ns)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("drift_ppm", [-90.0, 35.0])
 def test_offset_and_rate_come_out_within_their_standard_deviations(drift_ppm):
     scores = []
@@ -81,6 +82,7 @@ def test_nothing_is_mapped_before_there_are_exchanges():
     assert mapping.standard_deviation_ns(0) == np.inf
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("seed", range(5))
 def test_stamps_increase_and_never_step_whatever_the_exchanges_say(seed):
     line = Line(50.0, seed, queue_ns=400_000.0)
@@ -227,6 +229,7 @@ def outside(line: Line, ppm_later: float, step_ns: int, *, seconds: float = 3.0)
     return None
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("step_ns", [10_000_000, 40_000_000, 200_000_000])
 @pytest.mark.parametrize("ppm", [-10_000, 10_000])
 def test_a_clock_that_drifts_by_a_hundredth_is_noticed_however_often_it_is_asked(ppm, step_ns):
@@ -237,6 +240,7 @@ def test_a_clock_that_drifts_by_a_hundredth_is_noticed_however_often_it_is_asked
         assert 0 < noticed_ns < 800_000_000
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("step_ns", [10_000_000, 40_000_000, 200_000_000])
 @pytest.mark.parametrize("ppm", [-1000, 1000])
 def test_no_crystal_slewed_host_or_hiccup_is_taken_for_a_clock_that_is_wrong(ppm, step_ns):

@@ -91,6 +91,7 @@ def _is_seen(displacement) -> list[bool]:
     return [math.isfinite(x) for x in displacement.positions]
 
 
+@pytest.mark.slow
 def test_displacements_are_right_to_micrometres_and_say_how_well(scene) -> None:
     seen = [scene.answer("plain", scene.image(scene.pixels(1e-3))) for _ in range(20)]
     assert seen[0].names == ("z010", "z225", "z285")
@@ -194,6 +195,7 @@ def test_black_white_and_empty_frames_are_nan_and_the_markers_are_found_again_at
     assert _is_seen(scene.answer("plain", scene.image(scene.pixels(0.0)))) == [True] * 3
 
 
+@pytest.mark.slow
 def test_a_marker_with_a_twin_is_nobody_until_the_twin_has_gone(scene) -> None:
     frame = scene.pixels(0.0)
     twin = frame.copy()
@@ -220,6 +222,7 @@ def test_a_repeated_frame_is_answered_once_and_counted(scene) -> None:
     assert int(health.values["repeated frames"]) >= 1
 
 
+@pytest.mark.slow
 def test_diagnostics_say_rate_latency_noise_and_losses_once_a_second(scene) -> None:
     seen = scene.seen["plain"]
     for _ in range(160):  # one that seemed out of round as it was found is doubted for some 130 frames
@@ -259,6 +262,7 @@ def test_drawings_are_made_while_somebody_looks(scene) -> None:
     assert shape.points[-1].z == pytest.approx(0.3)
 
 
+@pytest.mark.slow
 def test_a_camera_that_comes_back_with_another_quality_of_service_is_heard(scene) -> None:
     """Reliable and volatile; then another process, best effort and latched; killed; then reliable again."""
     seen = scene.seen["changing"]
@@ -325,6 +329,7 @@ def test_a_calibration_of_another_camera_gives_pixels_but_no_metres(scene) -> No
     assert "1280 x 960" in refused.message
 
 
+@pytest.mark.slow
 def test_a_device_that_is_missing_comes_and_vanishes_is_said_and_the_node_lives_on(scene) -> None:
     seen = scene.seen["device"]
     device = scene.folder / "video7"
@@ -352,6 +357,7 @@ def test_a_video_is_measured_to_its_end_and_the_end_is_said(scene) -> None:
     assert np.all(np.diff([d.stamp_ns for d in seen.displacements]) == 20_000_000)
 
 
+@pytest.mark.slow
 def test_a_tracker_that_foretells_hears_the_hub_and_tells_how_often_that_was_needed(scene) -> None:
     graph = scene.graph
     hub = graph.publisher("hub/state", namespace="/foretold")
@@ -378,6 +384,7 @@ def test_a_hub_state_that_cannot_be_read_is_left_out(scene) -> None:
     graph.node.destroy_publisher(hub)
 
 
+@pytest.mark.slow
 def test_calibration_against_the_hubs_encoder_finds_scale_zero_and_their_deviations(scene) -> None:
     """Positions of the hub, a camera that is really at 1480 px/m: the fit finds it, tare sets the zero."""
     from beam_ros.vision.rendering.frames import SceneRenderer

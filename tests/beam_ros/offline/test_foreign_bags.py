@@ -53,6 +53,7 @@ def holds_the_truth(result: dict[str, Any], rtol: float = 1e-4) -> None:
     np.testing.assert_allclose(found[:, 1], foreign.DAMPING_RATIOS, rtol=100 * rtol)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("outputs", [(LASER,), (IMU,), (LASER, IMU)], ids=["laser", "imu", "both"])
 def test_no_rig_file_is_needed_for_the_poles(bag: Path, outputs: tuple[str, ...]) -> None:
     result = identify_bag(bag, options=options(*outputs))
@@ -62,6 +63,7 @@ def test_no_rig_file_is_needed_for_the_poles(bag: Path, outputs: tuple[str, ...]
     assert ("accelerance" in " ".join(result["notes"])) == (IMU in outputs)
 
 
+@pytest.mark.slow
 def test_the_same_samples_in_mcap_give_the_same_poles(bag: Path, tmp_path: Path) -> None:
     with Bag(bag) as old, BagWriter(tmp_path / "copy") as new:
         for message in old.raw_messages():
@@ -71,6 +73,7 @@ def test_the_same_samples_in_mcap_give_the_same_poles(bag: Path, tmp_path: Path)
     assert first["modes"] == second["modes"]
 
 
+@pytest.mark.slow
 def test_a_copy_cannot_judge_the_model_and_does_not_count_twice(bag: Path, tmp_path: Path) -> None:
     copy = foreign.write(tmp_path / "copy", foreign.experiment(foreign.shaken(5.0), "/rig7"))
     with pytest.raises(UsageError, match="cannot judge the model"):
@@ -79,6 +82,7 @@ def test_a_copy_cannot_judge_the_model_and_does_not_count_twice(bag: Path, tmp_p
         identify_bag([bag, copy], options=options(LASER))
 
 
+@pytest.mark.slow
 def test_two_bags_are_one_fit_and_two_others_judge_it(bag: Path, tmp_path: Path) -> None:
     others = [
         foreign.write(tmp_path / f"bag{seed}", foreign.experiment(foreign.shaken(4.0, seed), "/rig7"))
@@ -95,6 +99,7 @@ def test_two_bags_are_one_fit_and_two_others_judge_it(bag: Path, tmp_path: Path)
         assert unseen["scores"]["rig7/laser/range:range"]["fit_percent"] > 99.0
 
 
+@pytest.mark.slow
 def test_a_known_delay_is_taken_off_and_an_unknown_one_found(tmp_path: Path) -> None:
     rows = foreign.experiment(foreign.shaken(4.0), "/rig7", laser_late_s=0.004)
     late = foreign.write(tmp_path / "late", rows)
@@ -105,6 +110,7 @@ def test_a_known_delay_is_taken_off_and_an_unknown_one_found(tmp_path: Path) -> 
     holds_the_truth(known)
 
 
+@pytest.mark.slow
 def test_segments_are_used_and_nothing_else(bag: Path) -> None:
     parts = identify_bag(bag, options=options(LASER, segments=((0.5, 2.0), (2.5, 4.5))))
     holds_the_truth(parts)
@@ -114,6 +120,7 @@ def test_segments_are_used_and_nothing_else(bag: Path) -> None:
         identify_bag(bag, options=options(LASER, segments=((100.0, np.inf),)))
 
 
+@pytest.mark.slow
 def test_a_transfer_function_of_degrees_that_are_asked_for_has_its_table(bag: Path) -> None:
     told = options(LASER, estimator="srivc", orders=((2, 2), (4, 4)))
     result = identify_bag(bag, options=told)
@@ -121,6 +128,7 @@ def test_a_transfer_function_of_degrees_that_are_asked_for_has_its_table(bag: Pa
     assert "FIT %" in result["orders"][0]
 
 
+@pytest.mark.slow
 def test_a_stamp_three_seconds_back_is_named_and_moves_no_pole(tmp_path: Path) -> None:
     rows = foreign.experiment(foreign.shaken(4.0), "/rig7")
     place = [k for k, row in enumerate(rows) if row[0].endswith("range")][700]
@@ -133,6 +141,7 @@ def test_a_stamp_three_seconds_back_is_named_and_moves_no_pole(tmp_path: Path) -
     holds_the_truth(result)
 
 
+@pytest.mark.slow
 def test_the_verb_reports_what_it_finds_and_writes_nothing_over(
     bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -310,6 +319,7 @@ def original_gates() -> list[tuple[str, str]]:
     return gates_of(OURS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", FORMS)
 def test_our_recording_gives_the_same_answers_in_every_form(
     form: str, original: dict[str, Any], original_gates: list[tuple[str, str]], tmp_path: Path
@@ -320,6 +330,7 @@ def test_our_recording_gives_the_same_answers_in_every_form(
     assert gates_of(tmp_path / "bag") == original_gates
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("storage", [StoragePlugin.SQLITE3, StoragePlugin.MCAP])
 def test_our_recording_under_other_names_gives_the_same_answers(
     storage: StoragePlugin, original: dict[str, Any], tmp_path: Path

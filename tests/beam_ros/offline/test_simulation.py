@@ -39,6 +39,7 @@ def bag(rig: Rig, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_the_identified_poles_are_the_models_own(rig: Rig, bag: Path) -> None:
     result = identify_bag(bag)
     truth = rig.beam_model().natural_frequencies / (2 * math.pi)
@@ -51,6 +52,7 @@ def test_the_identified_poles_are_the_models_own(rig: Rig, bag: Path) -> None:
         assert abs(mode["damping_ratio_z"]) < 4
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_messages_and_another_one_other_noise(
     rig: Rig, bag: Path, tmp_path: Path
 ) -> None:
@@ -64,6 +66,7 @@ def test_the_same_seed_gives_the_same_messages_and_another_one_other_noise(
     assert np.std(positions[0] - positions[2]) == pytest.approx(5e-6 * math.sqrt(2), rel=0.1)
 
 
+@pytest.mark.slow
 def test_rendered_and_tracked_frames_agree_with_the_truth(rig: Rig, tmp_path: Path) -> None:
     pytest.importorskip("cv2")
     short = rig.with_values({"excitation.duration": 2.0, "excitation.still": 0.2})
@@ -83,6 +86,7 @@ def test_rendered_and_tracked_frames_agree_with_the_truth(rig: Rig, tmp_path: Pa
     assert np.all(np.sqrt(np.mean(error**2, axis=0)) < 4.5e-6)
 
 
+@pytest.mark.slow
 def test_tracked_frames_are_measured_with_the_rigs_own_calibration(rig: Rig, tmp_path: Path) -> None:
     pytest.importorskip("cv2")
     from beam_ros.vision.calibration.linear import LinearCalibration
@@ -112,6 +116,7 @@ def test_tracked_frames_are_measured_with_the_rigs_own_calibration(rig: Rig, tmp
         assert not (tmp_path / "refused").exists()
 
 
+@pytest.mark.slow
 def test_the_model_is_written_whole_and_reads_back(bag: Path, tmp_path: Path) -> None:
     result = identify_bag(bag, folder=tmp_path / "out", n_modes=2)
     document = json.loads((tmp_path / "out" / "model.json").read_text())
@@ -121,6 +126,7 @@ def test_the_model_is_written_whole_and_reads_back(bag: Path, tmp_path: Path) ->
     assert "4.38" in format_table(result)
 
 
+@pytest.mark.slow
 def test_a_model_is_scored_on_data_that_it_has_not_seen(rig: Rig, bag: Path, tmp_path: Path) -> None:
     simulate(rig.with_values({"simulation.seed": 5}), tmp_path / "unseen")
     result = identify_bag(bag, validation=tmp_path / "unseen")
@@ -157,6 +163,7 @@ LOST_AT_RANDOM = {topic: set(range(7 + k, 390, 9)) for k, topic in enumerate(("h
 LOST_FRAMES = {"beam/displacement": set(range(5, 790, 7)) | set(range(400, 420))}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("lost", "told"),
     [
@@ -180,6 +187,7 @@ def test_what_a_bag_lost_is_named_and_leaves_the_poles_where_they_are(
             assert abs(found[key] - mode[key]) < mode[sd]
 
 
+@pytest.mark.slow
 def test_both_sides_of_a_restart_of_the_device_are_used_though_each_has_its_own_ticks_and_zero(
     bag: Path, tmp_path: Path
 ) -> None:
@@ -215,6 +223,7 @@ def test_frames_without_a_hub_are_named_and_a_hub_without_samples_is_refused(
         load_experiment(without(bag, tmp_path / "one", one))
 
 
+@pytest.mark.slow
 def test_a_mode_that_is_not_there_has_no_digits(bag: Path) -> None:
     result = identify_bag(bag, n_modes=3)
     (line,) = [line for line in format_table(result).splitlines() if "not a mode" in line]
@@ -224,6 +233,7 @@ def test_a_mode_that_is_not_there_has_no_digits(bag: Path) -> None:
     assert ">999" in format_table({"modes": [ours]})
 
 
+@pytest.mark.slow
 def test_a_force_driven_hub_shows_the_free_hubs_poles(tmp_path: Path) -> None:
     rig = Rig.from_file().with_values({**SHORT, "hub.command_mode": "effort", "excitation.acceleration": 0.2})
     simulate(rig, tmp_path / "force")
@@ -251,6 +261,7 @@ def test_a_bag_without_the_needed_topics_is_refused_with_what_is_there(tmp_path:
         identify_bag(tmp_path / "nowhere")
 
 
+@pytest.mark.slow
 def test_a_realistic_beam_loses_energy_to_the_air_and_the_linear_fit_says_that_it_is_not_enough(
     rig: Rig, tmp_path: Path
 ) -> None:
@@ -261,6 +272,7 @@ def test_a_realistic_beam_loses_energy_to_the_air_and_the_linear_fit_says_that_i
     assert any("not white" in warning for warning in result["warnings"])
 
 
+@pytest.mark.slow
 def test_what_friction_servo_clocks_and_camera_do_is_in_the_bag_and_the_model_is_still_the_beams(
     rig: Rig, tmp_path: Path
 ) -> None:
@@ -293,6 +305,7 @@ def test_what_friction_servo_clocks_and_camera_do_is_in_the_bag_and_the_model_is
         assert mode["damping_ratio"] == pytest.approx(0.005, rel=0.1 if k < 2 else 0.3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", [2e-6, 2e-5])
 def test_noise_of_an_encoder_beside_an_axis_that_goes_as_it_is_led_costs_no_mode(
     rig: Rig, tmp_path: Path, noise: float
@@ -313,6 +326,7 @@ def test_noise_of_an_encoder_beside_an_axis_that_goes_as_it_is_led_costs_no_mode
         assert abs(mode["damping_ratio_z"]) < 4
 
 
+@pytest.mark.slow
 def test_noise_of_an_encoder_is_in_the_intervals_where_the_hub_goes_otherwise_than_it_is_led(
     rig: Rig, tmp_path: Path
 ) -> None:

@@ -77,6 +77,7 @@ def write_video(path: Path, frames: list[np.ndarray], codec: str = "FFV1") -> Pa
     return path
 
 
+@pytest.mark.slow
 def test_the_committed_video_is_tracked_to_its_truth() -> None:
     rig = Rig.from_file(RIG_FILE)
     tracked = track_video(VideoFile(VIDEO), rig)
@@ -88,6 +89,7 @@ def test_the_committed_video_is_tracked_to_its_truth() -> None:
     assert np.abs(error).max() < 0.008
 
 
+@pytest.mark.slow
 def test_a_video_whose_markers_are_smeared_for_longer_than_the_rig_says_names_the_exposure(
     tmp_path: Path,
 ) -> None:
@@ -106,6 +108,7 @@ def test_a_video_whose_markers_are_smeared_for_longer_than_the_rig_says_names_th
     assert "times as long as camera.exposure, 0.002 s, allows" in note
 
 
+@pytest.mark.slow
 def test_frames_that_a_converter_repeats_are_left_out_and_said(tmp_path: Path) -> None:
     rig = Rig.from_file(RIG_FILE)
     camera, rng = rig.camera_parameters(), np.random.default_rng(4)
@@ -135,6 +138,7 @@ def test_frames_that_the_container_leaves_out_cut_no_film_short(tmp_path: Path, 
     assert any("cut short" in note for note in notes) == (n_stated > 60)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("codec", ["FFV1", "mp4v"])
 def test_a_film_that_is_filled_up_from_behind_loses_the_frames_that_come_early(
     tmp_path: Path, codec: str
@@ -157,6 +161,7 @@ def test_a_film_that_is_filled_up_from_behind_loses_the_frames_that_come_early(
     assert all(sum(counts.values()) == 100 for counts in tracked.reasons)
 
 
+@pytest.mark.slow
 def test_an_interlaced_film_is_named_with_the_remedy(tmp_path: Path) -> None:
     rig = Rig.from_file(RIG_FILE)
     camera, rng = rig.camera_parameters(), np.random.default_rng(4)
@@ -172,6 +177,7 @@ def test_an_interlaced_film_is_named_with_the_remedy(tmp_path: Path) -> None:
     assert "-vf bwdif" in note
 
 
+@pytest.mark.slow
 def test_a_film_behind_a_noise_reduction_is_named_also_where_it_is_refused(
     bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -200,6 +206,7 @@ def test_a_codec_that_keeps_what_changes_is_named_and_one_of_whole_pictures_not(
         ] == said
 
 
+@pytest.mark.slow
 def test_the_video_finds_its_time_in_the_hubs() -> None:
     rig = Rig.from_file(RIG_FILE)
     tracked = track_video(VideoFile(VIDEO), rig)
@@ -214,6 +221,7 @@ def test_the_video_finds_its_time_in_the_hubs() -> None:
         assert found.gain == pytest.approx(1.0, abs=0.01)
 
 
+@pytest.mark.slow
 def test_a_gap_in_the_hubs_record_does_not_move_the_time_found() -> None:
     tracked = track_video(VideoFile(VIDEO), Rig.from_file(RIG_FILE))
     with Bag(RECORDINGS / "chirp_6s") as opened:
@@ -228,6 +236,7 @@ def test_a_gap_in_the_hubs_record_does_not_move_the_time_found() -> None:
     assert abs(found.offset_s - begun_s) < 4 * found.offset_sd_s
 
 
+@pytest.mark.slow
 def test_a_bag_of_the_hub_and_a_video_identify_as_the_truth(
     bag: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -262,6 +271,7 @@ def test_a_bag_of_the_hub_and_a_video_identify_as_the_truth(
         assert abs(mode["damping_ratio_z"]) < 4
 
 
+@pytest.mark.slow
 def test_markers_carry_the_frames_stamp_and_displacements_the_middle_of_their_rows_exposure(
     bag: Path,
 ) -> None:
@@ -289,6 +299,7 @@ def test_markers_carry_the_frames_stamp_and_displacements_the_middle_of_their_ro
     assert np.abs(stamps - np.array(expected)).max() < 2000
 
 
+@pytest.mark.slow
 def test_a_new_bag_leaves_the_old_one_and_a_second_video_replaces_the_first(
     bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -309,6 +320,7 @@ def test_a_new_bag_leaves_the_old_one_and_a_second_video_replaces_the_first(
     assert sorted(path.name for path in tmp_path.iterdir()) == ["bag", "new", "new_untracked"]
 
 
+@pytest.mark.slow
 def test_frame_times_of_the_users_come_before_the_files(bag: Path, tmp_path: Path) -> None:
     times = tmp_path / "times.csv"
     period = 0.01 * (1 + 2e-3)
@@ -327,6 +339,7 @@ def test_frame_times_of_the_users_come_before_the_files(bag: Path, tmp_path: Pat
     assert found["drift_sd"] < 2e-4
 
 
+@pytest.mark.slow
 def test_a_scale_that_is_wrong_is_told(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
     wrong = ["-p", "camera.pixels_per_metre:=750.0"]
     rows = ["-p", "camera.width:=96", "-p", "camera.height:=240", "-p", "camera.origin_v:=229.0"]
@@ -343,6 +356,7 @@ def test_a_scale_that_is_wrong_is_told(bag: Path, capsys: pytest.CaptureFixture[
     assert "does not say for which camera and focus it was made: expected the rig's focus ('f8')" in shown
 
 
+@pytest.mark.slow
 def test_a_time_that_is_not_known_to_a_fifth_of_a_millisecond_is_told(
     bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -362,6 +376,7 @@ def test_a_time_that_is_not_known_to_a_fifth_of_a_millisecond_is_told(
     )
 
 
+@pytest.mark.slow
 def test_a_time_that_is_known_at_the_beginning_of_a_film_and_not_at_its_end_is_told(
     bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -385,6 +400,7 @@ def test_a_time_that_is_known_at_the_beginning_of_a_film_and_not_at_its_end_is_t
     assert not any("time in the hub's" in note for note in result["notes"])
 
 
+@pytest.mark.slow
 @tells_key_frames
 def test_what_a_codec_holds_back_is_fitted_where_it_keeps_what_changes(tmp_path: Path) -> None:
     rig = Rig.from_file(RIG_FILE)
@@ -400,6 +416,7 @@ def test_what_a_codec_holds_back_is_fitted_where_it_keeps_what_changes(tmp_path:
         assert abs(found.lag_m) <= 4 * found.lag_sd_m
 
 
+@pytest.mark.slow
 def test_what_cannot_be_tracked_is_refused_in_one_line_and_leaves_the_bag(
     bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -474,6 +491,7 @@ def test_what_cannot_be_tracked_is_refused_in_one_line_and_leaves_the_bag(
     assert not [path for path in tmp_path.iterdir() if path.name.startswith((".", "bag_"))]
 
 
+@pytest.mark.slow
 def test_a_video_that_is_cut_short_is_used_as_far_as_it_goes(bag: Path, tmp_path: Path) -> None:
     data = VIDEO.read_bytes()
     cut = tmp_path / "cut.avi"
@@ -513,6 +531,7 @@ def flipped(path: Path, count: int) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_frames_that_the_decoder_complains_about_are_no_measurements(bag: Path, tmp_path: Path) -> None:
     damaged = flipped(tmp_path / "damaged.avi", 14)
     target = tmp_path / "tracked"
@@ -546,6 +565,7 @@ def test_frames_that_the_decoder_complains_about_are_no_measurements(bag: Path, 
     assert re.search(r"frames are damaged, as the decoder says \(first: \w[^)\n]+\)", error)
 
 
+@pytest.mark.slow
 def test_damage_in_motion_jpeg_costs_the_frames_that_it_hit_and_no_point_is_wrong(
     bag: Path, tmp_path: Path
 ) -> None:
@@ -580,6 +600,7 @@ def test_damage_in_motion_jpeg_costs_the_frames_that_it_hit_and_no_point_is_wron
     assert not np.any(off_px > 0.1)
 
 
+@pytest.mark.slow
 def test_dropped_frames_that_the_file_does_not_tell_of_are_found(
     bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -199,6 +199,7 @@ def _seen(rig: Rig) -> bytes:
     return digest.digest()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(PRESETS["ideal"]))
 def test_every_imperfection_of_the_file_reaches_what_device_and_camera_say(name: str) -> None:
     other = {
@@ -216,6 +217,7 @@ def test_every_imperfection_of_the_file_reaches_what_device_and_camera_say(name:
     assert _seen(_realistic().with_values({f"simulation.{name}": other})) != _seen_of_the_realistic()
 
 
+@pytest.mark.slow
 def test_a_seed_gives_the_same_imperfections_and_another_one_others() -> None:
     assert _seen(_realistic()) == _seen_of_the_realistic()
     assert _seen(_realistic().with_values({"simulation.seed": 2})) != _seen_of_the_realistic()

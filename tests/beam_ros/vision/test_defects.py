@@ -40,6 +40,7 @@ def spoilt(image: np.ndarray, defects: list, scale: int = 1) -> np.ndarray:
     return image
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("amplitude_px", [0.0, 12.0])
 @pytest.mark.parametrize("defects", DEFECTS.values(), ids=DEFECTS)
 def test_markers_are_measured_with_defective_pixels_from_the_first_frame_on(defects, amplitude_px):
@@ -69,6 +70,7 @@ def disc(diameter: float, u: float, v: float, blur: float) -> np.ndarray:
     return ndtr(depth / blur).reshape(40, 16, 40, 16).mean(axis=(1, 3))
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize(
     ("diameter", "blur"), [(4.0, 0.05), (6.0, 0.05), (12.0, 0.05), (30.0, 0.05), (1.0, 0.6)]
 )
@@ -121,6 +123,7 @@ def test_a_pattern_of_single_pixels_is_no_defect(step):
     assert all((defects.mended(image, 180.0) != image).sum() <= 4 for _ in range(LOOKS))
 
 
+@pytest.mark.slow
 def test_defective_pixels_are_filled_in_along_the_rim_and_what_is_left_of_them_is_stated():
     rng = np.random.default_rng(5)
     pulls, stated = [], []

@@ -49,6 +49,7 @@ ALIKE, COLUMNS, ROWS, NEARLY = (
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gains", [ALIKE, COLUMNS, ROWS, NEARLY])
 @pytest.mark.parametrize("blur", [0.1, 0.8])
 def test_rows_and_columns_that_differ_and_sharp_discs_are_no_mosaic(gains, blur):
@@ -66,6 +67,7 @@ def test_a_region_without_light_and_noise_that_may_be_one_are_no_mosaic():
     assert not is_mosaic(shown(spot(6.0, 19.3, 20.6), GREENISH), GROUND, 30.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("gains", "is_dark", "is_named"),
     [(RED, False, True), (GREENISH, False, True), (GREENISH, True, True), (RED, True, False)],

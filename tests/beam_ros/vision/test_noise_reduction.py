@@ -37,6 +37,7 @@ def ground(
     return np.clip(np.rint(frames[-3:]), 0, 255)
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("share", [0.0, 0.2, 0.6])
 @pytest.mark.parametrize("more", [{}, {"noise": 1.2}, {"texture": 8.0}, {"texture": 8.0, "flicker": 0.2}])
 def test_the_noise_of_a_ground_that_rests_tells_the_share(share, more):
@@ -71,6 +72,7 @@ def found_of(share: float, rng: np.random.Generator, is_disturbed: bool) -> floa
     return reduction.share
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("is_disturbed", [False, True])
 def test_noise_alone_is_hardly_ever_an_average(is_disturbed):
     rng = np.random.default_rng(8)
@@ -113,6 +115,7 @@ def film(share: float, is_adaptive: bool, swing_px: float, noise: float = 4.0):
     return tracker, np.sqrt(np.nanmean(np.square(scores)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("share", "is_adaptive", "swing_px"),
     [(0.2, False, 3.0), (0.5, False, 1.0), (0.5, True, 3.0), (0.7, True, 8.0)],
@@ -123,6 +126,7 @@ def test_what_lags_behind_an_average_is_stated(share, is_adaptive, swing_px):
     assert 0.1 < score < 1.2
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize(("swing_px", "noise"), [(0.0, 2.0), (3.0, 4.0), (20.0, 1.0)])
 def test_a_camera_that_shows_the_present_is_no_average(swing_px, noise):
     tracker, score = film(0.0, False, swing_px, noise)

@@ -97,6 +97,7 @@ assert is_marked(recording.path) and not is_being_written(recording.path)
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="needs a limit on the size of files")
 def test_a_full_disk_is_said_and_leaves_a_recoverable_bag(tmp_path):
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[4])}

@@ -52,6 +52,7 @@ def results(firmware: EmulatedFirmware, *names: str, moves: bool = True) -> dict
     return {result.name: result for result in run_checks(VirtualLine(firmware), moves=moves, names=names)}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", COMMAND_MODES)
 def test_the_emulator_keeps_the_protocol_in_every_command_mode(mode):
     found = results(make(mode))
@@ -302,6 +303,7 @@ DEFECTS: dict[str, dict[str, object]] = {
 }
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("name", NAMES)
 def test_a_firmware_with_a_defect_fails_the_check_that_is_about_it(name):
     others = () if name not in ALWAYS else ("handshake", "telemetry", "enabling")

@@ -26,6 +26,7 @@ def bring_about(rig, text):
     rig.emulator.bring_about(read_schedule(text, "test", rig.emulator.elapsed))
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize(
     "fault",
     [
@@ -87,6 +88,7 @@ def test_a_line_that_is_too_slow_for_the_samples_is_a_fault_and_nothing_worse(tm
         rig.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("baud", "period_ns"), [(300_000, 1_000_000), (115_200, 4_000_000)])
 def test_a_line_that_is_just_fast_enough_carries_a_sequence_and_is_never_flooded(tmp_path, baud, period_ns):
     """At 1 kHz the device says 26 kB/s with all its states, at 250 Hz a quarter of it."""

@@ -39,6 +39,7 @@ def test_only_an_emulated_processor_can_be_paced():
         FirmwareMachine(sys.executable, is_paced=True)
 
 
+@pytest.mark.slow
 def test_the_host_build_runs_until_it_is_switched_off():
     machine = FirmwareMachine(built("beam-firmware"))
     assert machine.is_running

@@ -155,6 +155,7 @@ def test_a_sequence_that_would_bend_the_beam_too_far_is_refused_and_another_is_n
         assert scale < 1.0 or "predicted tip deflection" in reports[-1].reason
 
 
+@pytest.mark.slow
 def test_a_sequence_is_checked_in_a_thread_and_set_points_wait_meanwhile():
     values = np.zeros(1_800_000)
     values[:2000] = rest_to_rest(2000)

@@ -43,6 +43,7 @@ class StreamedRig(SimulatedRig):
         return outcome.success
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize(
     ("mode", "size"), [("acceleration", 0.6), ("velocity", 0.03), ("position", 0.001), ("effort", 0.5)]
 )
@@ -73,6 +74,7 @@ def test_what_is_refused_as_a_sequence_is_refused_as_set_points() -> None:
     assert rig.travel < 0.050
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", MODES)
 def test_whatever_is_streamed_hub_and_beam_stay_within_their_limits(mode: str) -> None:
     """Random streams that fall silent, stop and go on; the axis itself never had to stop at a limit."""

@@ -11,6 +11,7 @@ from tests.beam_ros.hub.hub_scenes import LoopbackRig
 VELOCITY = AxisParameters(command_mode="velocity", watchdog_s=0.5)
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("phase_ns", range(0, 20_000_000, 4_000_000))
 @pytest.mark.parametrize("baud", [115_200, 200_000])
 def test_a_stop_gets_through_on_a_line_that_its_samples_flood(baud, phase_ns):

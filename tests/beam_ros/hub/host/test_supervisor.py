@@ -114,6 +114,7 @@ ACCIDENTS = {
 LOSES_HOME = ("position_jumped", "motion_unexplained", "clock_jumped", "clock_backwards")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ACCIDENTS)
 def test_every_accident_stops_the_axis_and_stays_a_fault_until_it_is_cleared(name):
     rig = moving()
@@ -166,6 +167,7 @@ def test_a_running_sequence_is_aborted_with_the_reason():
     assert rig.firmware.axis.velocity == 0.0
 
 
+@pytest.mark.slow
 def test_what_was_asked_before_the_fault_is_not_asked_again_after_the_stop():
     rig = LoopbackRig(VELOCITY)
     rig.connect()
@@ -183,6 +185,7 @@ def test_what_was_asked_before_the_fault_is_not_asked_again_after_the_stop():
     assert rig.firmware.axis.state == "homed"
 
 
+@pytest.mark.slow
 def test_a_hub_that_is_pushed_out_of_its_travel_is_a_fault_while_it_is_disabled_too():
     rig = LoopbackRig(dataclasses.replace(PARAMETERS, command_mode="effort"))
     rig.connect()
@@ -232,6 +235,7 @@ def test_a_device_that_does_not_stop_when_asked_is_left_to_its_watchdog():
     assert rig.ask("clear_fault").success
 
 
+@pytest.mark.slow
 def test_a_device_that_works_for_ever_is_a_fault():
     rig = LoopbackRig(PARAMETERS)
     rig.connect()
@@ -309,6 +313,7 @@ def test_a_hub_that_was_pushed_while_it_was_disabled_is_enabled_without_a_fault(
     assert supervisor.fault.name == "motion_unexplained"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", COMMAND_MODES)
 @pytest.mark.parametrize("start", [-0.04, 0.0, 0.03])
 def test_no_alarm_is_raised_by_a_healthy_axis_on_a_noisy_line(mode, start):
@@ -347,6 +352,7 @@ def test_no_alarm_is_raised_by_a_healthy_axis_on_a_noisy_line(mode, start):
     assert rig.reports[-1].status.counters["bad_frames"] > 8
 
 
+@pytest.mark.slow
 def test_a_device_with_clocks_of_32_bits_is_no_worse_than_another():
     narrow = SimulatedDevice(clock_start_ns=(1 << 32) * 1000 - 3_000_000_000)
     rig = LoopbackRig(VELOCITY, narrow)
@@ -374,6 +380,7 @@ def live(tmp_path):
     rig.close()
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize(
     ("fault", "name"),
     [
@@ -394,6 +401,7 @@ def test_a_real_ports_clock_that_goes_wrong_stops_the_axis(live, fault, name):
     assert not live.ask("enable").success
 
 
+@pytest.mark.slow
 def test_a_real_ports_clock_of_32_bits_wraps_under_a_sequence(live):
     live.emulator.bring_about(read_schedule("{fault: wrap, bits: 32}", "test", live.emulator.elapsed))
     live.run(0.5)

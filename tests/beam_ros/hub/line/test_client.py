@@ -83,6 +83,7 @@ def test_a_session_begins_with_the_devices_state_and_one_line_in_the_log():
     assert rig.reports[-1].status.counters["connections"] == 1
 
 
+@pytest.mark.slow
 def test_the_devices_drift_and_map_come_out():
     rig = connected()
     rig.run(10.0)
@@ -99,6 +100,7 @@ def test_the_devices_drift_and_map_come_out():
     assert len(syncs) > 100
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("buffer_samples", [128, 512])
 def test_a_sequence_longer_than_the_buffer_is_streamed_and_applied_bit_for_bit(buffer_samples):
     rig = connected(device=dataclasses.replace(DRIFTING, buffer_samples=buffer_samples))
@@ -133,6 +135,7 @@ def test_lost_samples_are_sent_again():
     assert np.array_equal(applied[first : first + 2500], values)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("late_ms", "is_resent"), [(40, False), (80, True)])
 def test_samples_are_sent_again_when_none_was_acknowledged_for_60_ms_and_not_before(late_ms, is_resent):
     rig = connected()
@@ -192,6 +195,7 @@ def test_a_line_that_is_too_slow_for_the_samples_is_named_and_not_made_slower():
     assert slow.n_lost == 0
 
 
+@pytest.mark.slow
 def test_a_noisy_line_costs_frames_and_nothing_else():
     rig = connected()
     rig.enable()
@@ -348,6 +352,7 @@ def test_no_sequence_starts_on_a_map_that_is_not_known_well_enough():
     assert sum(len(r.measured) for r in rig.reports) == 0
 
 
+@pytest.mark.slow
 def test_a_sequence_waits_for_the_map_and_can_be_stopped_while_it_waits():
     rig = LoopbackRig(PARAMETERS)
     is_clock = frames_of(protocol.CLOCK_QUERY)
@@ -383,6 +388,7 @@ def test_a_device_that_is_not_the_one_of_the_rig_file_is_not_used(change, word):
     assert word in event.text
 
 
+@pytest.mark.slow
 def test_another_protocol_version_is_told_apart_from_silence(monkeypatch):
     rig = LoopbackRig(PARAMETERS)
     answer = protocol.encode(protocol.Identity(0, 3, 4, 99))
@@ -410,6 +416,7 @@ def test_closing_stops_the_axis_without_polls():
     assert rig.firmware.axis.state == "homed"
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("mode", ["acceleration", "velocity", "position", "effort"])
 def test_every_command_mode_moves_as_in_the_simulated_hub(mode):
     parameters = dataclasses.replace(PARAMETERS, command_mode=mode)
@@ -480,6 +487,7 @@ def test_a_device_that_could_do_more_obeys_the_rig_file():
     assert 0.045 < abs(rig.firmware.axis.true_position) < 0.05 + 2e-5
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize(
     ("name", "value"),
     [
@@ -559,6 +567,7 @@ def test_the_watchdog_is_proved_at_rest_before_the_axis_takes_a_command():
     assert rig.reports[-1].status.counters["watchdog_proved"] == 1
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("watchdog_s", [0.4, 3.0])
 def test_a_watchdog_that_acts_too_late_is_found_out(watchdog_s):
     # The device says 0.25 s, and keeps another time.
@@ -586,6 +595,7 @@ def test_without_the_proof_the_hub_says_what_it_cannot_promise():
     assert "watchdog" in shortcoming
 
 
+@pytest.mark.slow
 def test_an_answer_to_a_greeting_that_comes_late_does_not_end_the_session():
     rig = LoopbackRig(PARAMETERS)
     held: list[bytes] = []

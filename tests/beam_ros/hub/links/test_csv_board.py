@@ -99,6 +99,7 @@ def test_every_command_is_refused_with_the_reason(start) -> None:
     assert (report.state, report.reason) == ("refused", REFUSAL)
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize(
     ("text", "name"),
     [

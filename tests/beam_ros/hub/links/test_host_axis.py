@@ -141,6 +141,7 @@ def test_what_would_leave_the_travel_before_it_stops_is_refused() -> None:
     assert rig.axis.activity == "hold"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("mode", "size"), [("acceleration", 0.6), ("velocity", 0.03), ("position", 0.001)])
 def test_set_points_that_would_bend_the_beam_too_far_are_refused(mode: str, size: float) -> None:
     """At the first resonance, 4.38 Hz, the tip would reach far beyond hub.max_tip_deflection = 30 mm."""
@@ -154,6 +155,7 @@ def test_set_points_that_would_bend_the_beam_too_far_are_refused(mode: str, size
     assert 0.02 < rig.tip < 0.030
 
 
+@pytest.mark.slow
 def test_the_beam_that_a_sequence_left_swinging_is_remembered() -> None:
     taken = []
     for ringing in (0.0, 1.0):

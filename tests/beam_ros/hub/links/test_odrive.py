@@ -237,6 +237,7 @@ def test_a_pulled_cable_loses_the_axis_and_the_drive_stops_by_itself(start) -> N
     assert rig.property("error") == 0
 
 
+@pytest.mark.slow
 def test_a_killed_host_leaves_the_hub_at_rest(tmp_path) -> None:
     rig = OdriveRig(tmp_path, AxisParameters(watchdog_s=0.3))
     rig.hub.close()

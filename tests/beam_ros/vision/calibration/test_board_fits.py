@@ -137,6 +137,7 @@ def test_the_smallest_board_has_three_by_three_corners():
         Board(6, 2, 0.02)
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("truth", [(), ("k1",), ("k1", "p1", "p2")])
 def test_the_coefficients_that_corners_support_are_chosen_and_scatter_as_stated(truth):
     rng = np.random.default_rng([7, len(truth)])
@@ -189,6 +190,7 @@ def tilted_about(rng, tilt, spread):
     return tilt * np.array([np.cos(around), np.sin(around), 0.0]), shift
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("k1", [0.0, -0.2])
 @pytest.mark.parametrize("spread", [0.0, 1.0])
 @pytest.mark.parametrize("n_views", [6, 12])
@@ -202,6 +204,7 @@ def test_a_board_that_is_never_tilted_gives_no_lens(k1, spread, n_views):
             board_fits.fit_lens_to_views(views, (640, 480))
 
 
+@pytest.mark.slow
 def test_a_board_that_keeps_one_tilt_gives_no_lens():
     # All turned alike, wherever they are: each picture repeats what the first one says of the matrix.
     for seed in range(2):
@@ -217,6 +220,7 @@ def test_copies_of_a_picture_count_once():
         fit_lens([picture(*pose) for pose in POSES[:3]] * 3, BOARD)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tilt", [0.1, 0.5])
 def test_lens_and_scale_scatter_as_stated(tilt, monkeypatch):
     deviations, scales = [], []

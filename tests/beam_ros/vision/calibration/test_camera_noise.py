@@ -32,6 +32,7 @@ class Sensor:
         return Series.of(frames, "series")
 
 
+@pytest.mark.slow
 def test_gain_bias_read_noise_and_prnu_lie_within_their_stated_standard_deviations():
     z = []
     for seed in range(25):

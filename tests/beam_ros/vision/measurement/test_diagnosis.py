@@ -83,6 +83,7 @@ def test_dropped_and_repeated_frames_are_counted_and_said() -> None:
     assert day.diagnosis.report(0.1).level == "OK"  # what is over is counted, not complained of
 
 
+@pytest.mark.slow
 def test_frames_that_show_the_one_before_again_are_counted_and_said() -> None:
     day, rng = _Day(), np.random.default_rng(1)
     renderer = SceneRenderer(CAMERA, HEIGHTS)
@@ -148,6 +149,7 @@ def test_a_temporal_noise_reduction_is_said_with_the_remedy() -> None:
     assert "switch the camera's temporal noise reduction (3DNR) off" in report.sentence
 
 
+@pytest.mark.slow
 def test_a_raw_mosaic_that_is_called_grey_is_said_with_the_remedy() -> None:
     day, rng = _Day(), np.random.default_rng(2)
     renderer = SceneRenderer(CAMERA, HEIGHTS)
@@ -238,6 +240,7 @@ def test_a_calibration_that_may_be_of_another_focus_is_a_warning_and_one_that_na
     assert "set camera.focus" in report.sentence
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("stated_s", [0.002, 0.005])
 def test_an_exposure_that_is_stated_too_short_is_a_warning_with_the_likely_one(stated_s) -> None:
     day, renderer, rng = _Day(exposure_s=stated_s), SceneRenderer(CAMERA, HEIGHTS), np.random.default_rng(3)

@@ -47,6 +47,7 @@ def bright() -> Strip:
     return made()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("contrast", "noise", "width_px"), [(150.0, 2.0, 0.75), (30.0, 2.0, 0.75), (120.0, 6.0, 6.0)]
 )
@@ -67,6 +68,7 @@ def test_every_point_is_near_the_bound_and_its_standard_deviation_is_true(contra
     assert np.abs(np.nanmean(error[10:], axis=0)).max() < 5 * np.nanmean(sigma) / np.sqrt(60)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("width_px", [25.0, 60.0])
 def test_a_wide_strip_that_moves_is_followed_by_its_edges(width_px):
     strip = made(100.0, 2.0, width_px, n_frames=30)
@@ -76,6 +78,7 @@ def test_a_wide_strip_that_moves_is_followed_by_its_edges(width_px):
     assert 0.9 < np.sqrt(np.nanmean((error / sigma) ** 2)) < 1.15
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("width_px", "stated", "taper"),
     [
@@ -108,6 +111,7 @@ def test_a_strip_of_another_kind_is_not_believed_by_its_width():
     assert follower.section.widths_px == pytest.approx(12.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("width_px", "gain"), [(6.0, 3.0), (20.0, 3.0), (6.0, -3.0)])
 def test_pixels_cut_off_at_white_tell_nothing(width_px, gain):
     strip = made(100.0, 2.0, width_px, n_frames=30)
@@ -126,6 +130,7 @@ def test_pixels_cut_off_at_white_tell_nothing(width_px, gain):
     assert follower.section.blur_px == pytest.approx(strip.camera.blur_px, rel=0.05)
 
 
+@pytest.mark.slow
 def test_light_that_begins_to_cut_the_strip_off_is_got_over():
     strip = made(100.0, 2.0, 6.0, n_frames=30)
     light = 20.0 + (strip.light - 20.0) * np.where(np.arange(30) < 13, 1.0, 3.0)[:, None, None]
@@ -136,6 +141,7 @@ def test_light_that_begins_to_cut_the_strip_off_is_got_over():
     assert 0.9 < np.sqrt(np.nanmean((error / sigma) ** 2)) < 1.15
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("quality", [80, 40])
 def test_what_a_codec_does_to_the_pixels_is_in_the_standard_deviations(quality):
     strip = made(100.0, 2.0, 6.0, n_frames=120)
@@ -152,6 +158,7 @@ def test_what_a_codec_does_to_the_pixels_is_in_the_standard_deviations(quality):
     assert 0.9 < np.sqrt(np.nanmean((error[60:] / sigma[60:]) ** 2)) < 1.2
 
 
+@pytest.mark.slow
 def test_a_hand_before_the_strip_is_not_measured_and_the_rest_is(bright):
     frames = bright.frames(np.random.default_rng(2))
     frames[30:50, 150:230, 40:130] = 90
@@ -244,6 +251,7 @@ def test_sixteen_bits_and_a_dark_strip_are_measured_as_well(bright):
     assert np.isfinite(u).mean() > 0.95
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("blur_px", [0.35, 0.8])
 def test_the_blur_is_found_for_a_wrong_one_shifts_what_is_sharp_with_its_place_in_the_pixel(blur_px):
     camera = camera_of(200.0, 1.0, 0.6, blur_px=blur_px, exposure_s=1e-4)

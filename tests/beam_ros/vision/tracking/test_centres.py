@@ -80,6 +80,7 @@ def test_the_stated_noise_is_that_of_the_centre():
     assert u.std() < 0.0055
 
 
+@pytest.mark.slow
 def test_motion_below_a_pixel_about_a_pixel_centre_keeps_its_amplitude():
     camera = packaged_camera(noise_grey=0.5)
     heights = (0.010, 0.225, 0.285)

@@ -124,6 +124,7 @@ def rms(values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("diameter", "smear", "noise", "per_grey", "bits"),
     [
@@ -156,6 +157,7 @@ def test_five_percent_of_the_bound_at_full_length(diameter, smear, noise, per_gr
     assert 0.87 < rms(errors / stated) < 1.1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("diameter", "smear"), [(12.0, 3.0), (20.0, 3.0), (30.0, 9.0)])
 def test_a_smear_that_the_moments_see_too_short_costs_nothing(diameter, smear):
     # The level that they subtract takes a sixth of it, and a model of that length pulled by 1.2 to 1.9 bounds.
@@ -165,6 +167,7 @@ def test_a_smear_that_the_moments_see_too_short_costs_nothing(diameter, smear):
     assert 0.87 < rms(errors / stated) < 1.16
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("diameter", [6.0, 8.0])
 def test_a_motion_that_turns_now_and_then_costs_nothing_while_it_is_even(diameter):
     instants = (np.arange(13) + 0.5) / 13 - 0.5
@@ -179,6 +182,7 @@ def test_a_motion_that_turns_now_and_then_costs_nothing_while_it_is_even(diamete
     assert rms(np.concatenate(errors[5:])) < 1.106 * bound(film.radius, film.half, film.way, 1.0, 0.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("length", "bend"), [(1.2, 1.8), (1.8, 1.7), (2.5, 1.5)])
 def test_a_short_motion_that_bends_is_placed_where_it_was_on_average(length, bend):
     instants = (np.arange(13) + 0.5) / 13 - 0.5
@@ -198,6 +202,7 @@ def test_a_short_motion_that_bends_is_placed_where_it_was_on_average(length, ben
     assert abs(errors.mean()) < 0.3 * rms(stated)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("smear", [1.0, 2.0, 3.0])
 def test_the_second_moment_of_a_short_smear_is_that_of_its_length(smear):
     film = Film(16.0, even(smear))
@@ -207,6 +212,7 @@ def test_the_second_moment_of_a_short_smear_is_that_of_its_length(smear):
     assert excess == pytest.approx(np.var(film.way), rel=0.02, abs=0.004)
 
 
+@pytest.mark.slow
 def test_a_size_between_those_that_are_tabulated_is_no_slope_of_the_light():
     film = Film(6.0, even(0.0))  # with its blur, half way between two sizes
     film.places = np.full((10, 2), (0.03, 0.0))
@@ -216,6 +222,7 @@ def test_a_size_between_those_that_are_tabulated_is_no_slope_of_the_light():
     assert abs(errors.mean()) < 0.001
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("diameter", [12.0, 20.0, 30.0])
 def test_a_smear_that_the_moments_do_not_see_costs_nothing(diameter):
     # At a noise of 10 the level lies so high that the moments of 9 px of smear are those of rest.
@@ -228,6 +235,7 @@ def test_a_smear_that_the_moments_do_not_see_costs_nothing(diameter):
     assert rms(errors - known) < 0.1 * least
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("diameter", [6.0, 12.0, 30.0])
 @pytest.mark.parametrize("noise", [1.0, 10.0])
 def test_the_moments_of_a_disc_at_rest_scatter_no_more_than_is_stated(diameter, noise):
@@ -239,6 +247,7 @@ def test_the_moments_of_a_disc_at_rest_scatter_no_more_than_is_stated(diameter, 
         assert 0.3 < rms((moment - np.median(moment)) / sigma) < 1.15
 
 
+@pytest.mark.slow
 def test_a_rim_of_another_blur_than_expected_costs_nothing_once_some_frames_have_shown_it():
     # The moments of a large disc hardly show how blurred its rim is.
     film = Film(30.0, even(0.0))
@@ -277,6 +286,7 @@ def test_a_slope_of_the_background_is_taken_off(is_dark):
     assert 0.87 < rms(errors / stated) < 1.16
 
 
+@pytest.mark.slow
 def test_the_mean_position_of_a_motion_that_turns_is_found():
     instants = (np.arange(33) + 0.5) / 33 - 0.5
     way = 5.0 * instants + 3.0 * (instants**2 - np.mean(instants**2))
@@ -393,6 +403,7 @@ def over_texture(grain: float, size: int, n_frames: int = 24) -> tuple[np.ndarra
     return np.array(errors), np.array(stated)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("grain", "size"), [(0.0, 1), (9.0, 1), (6.0, 3), (6.0, 9)])
 def test_a_texture_behind_a_disc_at_rest_is_stated(grain, size):
     errors, stated = over_texture(grain, size)
@@ -400,6 +411,7 @@ def test_a_texture_behind_a_disc_at_rest_is_stated(grain, size):
     assert 0.75 < rms(errors / stated) < 1.3
 
 
+@pytest.mark.slow
 def test_a_disc_that_hides_a_texture_is_placed_by_what_it_hides():
     grain = 9.0
     errors, _ = over_texture(grain, 1)

@@ -47,6 +47,7 @@ def frames_lost(camera, renderer, tracker, rng, offset, n_frames=12, z=None, dis
     return [int(np.argmax(column)) if column.any() else n_frames for column in valid.T]
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("n_markers", [2, 3, 4])
 @pytest.mark.parametrize(
     ("start_px", "jump_px"),
@@ -59,6 +60,7 @@ def test_a_jump_of_all_markers_costs_nothing(start_px, jump_px, n_markers):
     assert frames_lost(camera, renderer, tracker, rng, (start_px + jump_px) * PIXEL) == [0] * n_markers
 
 
+@pytest.mark.slow
 def test_jumps_in_a_row_are_found_every_time():
     camera, renderer, tracker = make()
     rng = np.random.default_rng(72)
@@ -67,6 +69,7 @@ def test_jumps_in_a_row_are_found_every_time():
         assert max(frames_lost(camera, renderer, tracker, rng, offset_px * PIXEL, n_frames=4)) <= 1
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("rows_px", [4.0, 8.0, -13.0])
 @pytest.mark.parametrize("jump_px", [0.0, 150.0])
 @pytest.mark.parametrize("expects_rows", [True, False])
@@ -92,6 +95,7 @@ def test_markers_in_rows_that_the_rig_file_excludes_are_not_taken():
     assert frames_lost(camera, renderer, tracker, rng, 0.0, z=z) == [12] * 4
 
 
+@pytest.mark.slow
 def test_a_smeared_frame_between_costs_itself_and_one_more():
     camera, renderer, tracker = make()
     rng = np.random.default_rng(75)
@@ -104,6 +108,7 @@ def test_a_smeared_frame_between_costs_itself_and_one_more():
         assert max(frames_lost(camera, renderer, tracker, rng, jump_px * PIXEL)) <= 1
 
 
+@pytest.mark.slow
 def test_markers_hidden_together_are_found_wherever_they_come_back():
     camera, renderer, tracker = make()
     rng = np.random.default_rng(76)
@@ -138,6 +143,7 @@ def test_one_marker_that_stays_hidden_does_not_keep_the_others():
     assert lost[2] == 12
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("n_markers", [1, 2, 3, 4])
 @pytest.mark.parametrize("distance_px", [60, 250])
 @pytest.mark.parametrize("was_there", [True, False])
@@ -156,6 +162,7 @@ def test_a_twin_is_not_taken_for_a_marker_while_all_are_hidden(n_markers, distan
     assert [marker.u_px for marker in result.markers] == pytest.approx([320.0] * n_markers, abs=0.05)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("distance_px", [90, -260])
 def test_a_mirror_image_of_the_beam_is_not_taken_for_it_while_the_beam_is_hidden(distance_px):
     camera, renderer, tracker = make()
@@ -210,6 +217,7 @@ def test_a_single_marker_is_never_believed_to_have_jumped():
     assert moved_together({0: (100.0, 0.0)}, {}, 1, slack_px=24.0, row_slack_px=5.0) == []
 
 
+@pytest.mark.slow
 def test_what_took_a_lost_marker_place_before_the_others_jumped_is_no_part_of_the_jump():
     camera, renderer, tracker = make()
     rng = np.random.default_rng(82)

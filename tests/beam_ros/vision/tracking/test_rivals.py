@@ -195,6 +195,7 @@ def followed(
     return errors
 
 
+@pytest.mark.slow
 def test_a_twin_beside_which_the_marker_is_found_is_not_taken_for_it_once_that_is_covered():
     # The two rest beside each other for forty frames, and nobody can tell which is the marker: then one is covered.
     errors = followed(lambda k: 0.0, lambda k: 21.7, lambda k: (-70.0, -6.2 + 0.5 * max(0, k - 40)), 70)
@@ -219,6 +220,7 @@ def test_a_twin_that_has_left_the_picture_leaves_the_marker_to_be_found_at_once(
     assert np.abs(errors).max() < 0.05
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("apart", [15.7, 16.0, 16.3])
 def test_a_marker_that_met_a_twin_is_not_taken_for_what_remains_while_the_other_is_touched(apart):
     # At this distance the twin is alone in its surroundings already, the marker's touch the twin.
@@ -290,6 +292,7 @@ def test_a_twin_that_has_just_come_is_not_taken_for_the_marker_that_nears_it():
     assert np.abs(errors).max() < 0.05
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("apart", [12.7, -12.7, 14.0])
 def test_a_twin_that_touched_the_marker_from_the_first_frame_on_is_not_found_for_it_once_that_is_covered(
     apart,
@@ -312,6 +315,7 @@ def test_a_twin_is_not_taken_for_the_marker_that_it_met_and_that_is_hidden_while
     assert np.abs(errors).max() < 0.1
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("speed", [-16.0, 12.0])
 def test_a_twin_is_not_taken_for_the_marker_that_it_met_where_the_beam_moves_away(speed):
     # The beam as a whole goes farther than a lost marker is looked for, which says nothing about whom to believe.
@@ -337,6 +341,7 @@ def test_a_twin_is_not_taken_for_the_marker_with_which_it_was_lost_and_came_back
     assert np.abs(errors).max() < 0.1
 
 
+@pytest.mark.slow
 def test_a_marker_that_passed_a_twin_at_rest_is_told_from_it_within_three_frames():
     errors = followed(
         lambda k: 25.0 * np.sin(0.15 * (k - 20)),
@@ -348,6 +353,7 @@ def test_a_marker_that_passed_a_twin_at_rest_is_told_from_it_within_three_frames
     assert len(errors) >= 40
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("below", [-1.0, 0.7, 3.0])
 def test_a_marker_that_met_a_twin_in_another_row_is_known_by_its_row_once_they_are_apart(below):
     # The twin appears where it touches, and stays near; apart by a diameter and more from frame 40 on.
@@ -374,6 +380,7 @@ def test_a_twin_in_another_row_is_not_taken_for_a_marker_that_is_covered():
     assert np.abs(errors).max() < 0.1
 
 
+@pytest.mark.slow
 def test_a_marker_that_swings_beside_a_twin_at_rest_from_the_first_frame_on_is_acquired_by_its_motion():
     errors = followed(lambda k: 20.0 * np.sin(0.2 * k), lambda k: 60.0, lambda k: None, 40)
     assert len(errors) >= 24
