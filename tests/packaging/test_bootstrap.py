@@ -23,6 +23,8 @@ import pytest
 from tests.packaging.conftest import ROOT, copy_tree
 from tests.real_processes import MARK, marked_processes
 
+pytestmark = pytest.mark.slow
+
 FIT = {
     "path": "/usr/bin/python3",
     "real_path": "/usr/bin/python3.12",
@@ -272,7 +274,6 @@ def test_an_environment_made_from_something_else_is_not_ready(
     assert not bootstrap.Setup(bootstrap.parse(["--extras", "ros"])).is_ready()
 
 
-@pytest.mark.slow
 def test_without_a_network_one_line_names_the_log_and_the_next_call_starts_anew(clone: Path) -> None:
     (clone / ".venv").mkdir()
     (clone / ".venv" / "beam-setup.json").write_text('{"is_complete": false}')
@@ -312,7 +313,6 @@ def test_the_suites_commands_start_with_signals_held_back_and_others_as_pip_made
     assert (bin_folder / "other").read_text() == other
 
 
-@pytest.mark.slow
 def test_an_interrupted_set_up_says_so_and_leaves_no_process(clone: Path) -> None:
     # A package index that accepts the connection and never answers keeps pip and its own children waiting.
     mark = uuid.uuid4().hex

@@ -17,6 +17,8 @@ from beam_ros.process.executables import MODULES
 from tests.packaging.conftest import ROOT, copy_tree
 from tests.real_processes import MARK, marked_processes
 
+pytestmark = pytest.mark.slow
+
 VERSION = "99.1.2"
 """Given to the copy, so that it cannot be mistaken for the tree that the tests' environment has installed."""
 

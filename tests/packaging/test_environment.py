@@ -15,6 +15,8 @@ from beam_ros.process import environment
 from beam_ros.process.executables import command
 from tests.real_processes import Executables
 
+pytestmark = pytest.mark.slow
+
 SITE = Path("lib") / f"python{sys.version_info.major}.{sys.version_info.minor}" / "site-packages"
 
 

@@ -23,6 +23,8 @@ from beam_ros.interfaces import graph
 from beam_ros.offline.recovery import recover
 from tests.beam_ros.bags.small_bags import BATCH, START, batch
 
+pytestmark = pytest.mark.slow
+
 TOPIC = graph.TOPICS["hub/measured"]
 
 
@@ -97,7 +99,6 @@ assert is_marked(recording.path) and not is_being_written(recording.path)
 """
 
 
-@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="needs a limit on the size of files")
 def test_a_full_disk_is_said_and_leaves_a_recoverable_bag(tmp_path):
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[4])}

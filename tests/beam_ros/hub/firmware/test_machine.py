@@ -10,6 +10,8 @@ from beam_ros.hub.errors import HubConnectionError, HubParameterError
 from beam_ros.hub.firmware.machine import FirmwareMachine
 from tests.firmware.builds import built
 
+pytestmark = pytest.mark.slow
+
 
 def test_a_file_that_is_not_there_is_refused(tmp_path):
     with pytest.raises(HubParameterError, match=r"No such file.*make firmware"):
@@ -39,7 +41,6 @@ def test_only_an_emulated_processor_can_be_paced():
         FirmwareMachine(sys.executable, is_paced=True)
 
 
-@pytest.mark.slow
 def test_the_host_build_runs_until_it_is_switched_off():
     machine = FirmwareMachine(built("beam-firmware"))
     assert machine.is_running

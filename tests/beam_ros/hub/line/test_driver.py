@@ -29,6 +29,8 @@ from beam_ros.rig.rig import Rig as RigFile
 from tests.beam_ros.hub.hub_scenes import DriverRig, PortRig, Rig, SimulatedRig, chunks_of, rest_to_rest
 from tests.beam_ros.hub.line.relay import SerialServer
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[4]
 ACCELERATION = AxisParameters()
 VELOCITY = AxisParameters(command_mode="velocity")
@@ -134,7 +136,6 @@ def test_a_fault_and_its_end_are_the_same_for_driver_and_simulated_hub(start):
     assert script_of_a_fault(start(parameters)) == simulated
 
 
-@pytest.mark.slow
 def test_the_driver_gives_the_same_answers_as_the_simulated_hub(start):
     simulated = script(SimulatedRig(PATIENT, device=DEVICE))
     real = script(start(PATIENT))
@@ -169,7 +170,6 @@ def test_applied_and_measured_are_the_simulators_bit_for_bit(start):
         assert np.array_equal(real[name], array), name
 
 
-@pytest.mark.slow
 def test_stamps_are_the_true_times_to_a_tenth_of_a_millisecond(start):
     rig = start(ACCELERATION)
     reports = rig.run(1.5)
@@ -211,7 +211,6 @@ def test_a_cable_pulled_mid_sequence_stops_the_axis_and_the_driver_comes_back(st
     assert rig.ask("enable").success
 
 
-@pytest.mark.slow
 def test_ten_minutes_are_checked_while_the_axis_stays_enabled(start):
     """The check takes a second or more; meanwhile the host speaks, or the device's watchdog would stop the axis."""
     rig = start(ACCELERATION, guard=RigFile.from_file().beam_guard())
@@ -237,7 +236,6 @@ def test_ten_minutes_are_checked_while_the_axis_stays_enabled(start):
     assert rig.ask("stop").success
 
 
-@pytest.mark.slow
 def test_garbage_on_the_line_does_not_disturb_a_sequence(start):
     rig = start(PATIENT)
     rig.enable()
@@ -315,7 +313,6 @@ while True:
 """
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
 def test_a_killed_or_stopped_process_leaves_the_axis_stopped(tmp_path, number):
     emulator = EmulatedController(VELOCITY, BeamPlant(_beam(), 1e-3), DEVICE, link=tmp_path / "hub")
@@ -434,7 +431,6 @@ def test_another_trouble_of_the_same_port_is_told_too(driver, tmp_path):
     assert ["cannot be opened" in text for text in told(rig)] == [True, False]
 
 
-@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:set.* is deprecated")  # pyserial's, in its RFC 2217
 @pytest.mark.parametrize("kind", ["plain", "rfc2217", "spy"])
 def test_any_url_of_pyserial_is_a_port(driver, emulator, tmp_path, kind):
@@ -470,7 +466,6 @@ def test_a_port_that_only_hears_itself_has_nobody_who_answers(driver):
     assert rig.reports[-1].status.fault.name == "no_answer"
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("delay_s", [0.06, 0.15, 0.4])
 def test_a_greeting_that_is_answered_late_is_answered_all_the_same(driver, emulator, delay_s):
     """The host greets every 0.2 s: it has greeted up to four times before the first answer comes."""
@@ -556,7 +551,6 @@ def _unplug_again_and_again(rig: DriverRig, cycles: int) -> None:
     assert resources() == before
 
 
-@pytest.mark.slow
 def test_a_port_that_is_unplugged_again_and_again_comes_back_every_time(start):
     _unplug_again_and_again(start(PATIENT), 4)
 
@@ -601,7 +595,6 @@ def _flap(rig: DriverRig, seconds: float) -> None:
     rig.enable()
 
 
-@pytest.mark.slow
 def test_a_flapping_port_finds_the_driver_alive(start):
     _flap(start(PATIENT), 6.0)
 

@@ -23,6 +23,8 @@ from beam_ros.hub.faults import fault
 from beam_ros.hub.line import transport
 from beam_ros.hub.line.transport import WRITE_TIMEOUT_S, SerialTransport
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[4]
 FREEZES = 30
 FREEZE_TIMEOUT_S = 0.02

@@ -18,6 +18,8 @@ from beam_ros.hub.parameters import AxisParameters, LinkParameters, SimulatedDev
 from beam_ros.hub.simulated.plant import RigidPlant
 from tests.beam_ros.hub.hub_scenes import LiveRig, chunks_of, rest_to_rest
 
+pytestmark = pytest.mark.slow
+
 COLUMNS = CsvColumns(position=2, clock=1, position_scale=COUNT)
 # The counter of microseconds wraps within the first second.
 DEVICE = SimulatedDevice(clock_drift_ppm=200.0, clock_start_ns=((1 << 32) - 1_000_000) * 1000)

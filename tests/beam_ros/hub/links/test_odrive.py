@@ -24,6 +24,8 @@ from beam_ros.hub.parameters import AxisParameters, LinkParameters, SimulatedDev
 from beam_ros.hub.simulated.plant import RigidPlant
 from tests.beam_ros.hub.hub_scenes import LiveRig, chunks_of, rest_to_rest
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[4]
 PATIENT = AxisParameters(watchdog_s=1.0)
 METRES_PER_TURN = -0.02
@@ -237,7 +239,6 @@ def test_a_pulled_cable_loses_the_axis_and_the_drive_stops_by_itself(start) -> N
     assert rig.property("error") == 0
 
 
-@pytest.mark.slow
 def test_a_killed_host_leaves_the_hub_at_rest(tmp_path) -> None:
     rig = OdriveRig(tmp_path, AxisParameters(watchdog_s=0.3))
     rig.hub.close()

@@ -23,6 +23,8 @@ from beam_ros.hub.parameters import AxisParameters, SimulatedDevice
 from beam_ros.hub.simulated.plant import RigidPlant
 from beam_ros.rig.rig import Rig
 
+pytestmark = pytest.mark.slow
+
 PARAMETERS = AxisParameters(command_mode="velocity")
 PLANT = RigidPlant(0.8, 1e-3)
 BOOTS = {

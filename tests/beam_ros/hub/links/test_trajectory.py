@@ -20,6 +20,8 @@ from beam_ros.hub.parameters import AxisParameters
 from beam_ros.hub.simulated.plant import RigidPlant
 from tests.beam_ros.hub.hub_scenes import LiveRig, chunks_of, rest_to_rest
 
+pytestmark = pytest.mark.slow
+
 ACCELERATION = AxisParameters()
 
 
