@@ -68,6 +68,7 @@ def test_setup_and_manifest_agree_on_name_version_and_licence(setup_arguments: d
     assert "Apache License" in (ROOT / "LICENSE").read_text()
 
 
+@pytest.mark.slow
 def test_the_manifest_names_every_package_that_is_imported() -> None:
     keys = {element.text for element in manifest().iter("exec_depend")}
     wanted = {ROSDEP_KEYS.get(module, module) for module in imported_modules()} - {None}

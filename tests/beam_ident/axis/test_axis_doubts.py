@@ -14,6 +14,7 @@ from beam_ident.axis.axis_record import AxisRecord
 from benchmarks.ident.driven_axis import DrivenAxis
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "words"),
     [
@@ -35,6 +36,7 @@ def test_what_changes_the_force_is_named(change: Callable[[np.ndarray], np.ndarr
     assert [words in warning for warning in named] == [True] * bool(words)
 
 
+@pytest.mark.slow
 def test_a_cable_beside_the_axis_is_named() -> None:
     record = DrivenAxis(duration_s=8.0).record(1)
     drive, (position,) = record.input("force"), record.outputs
@@ -91,6 +93,7 @@ def test_motion_steps_of_an_encoder_and_noise_are_no_jumps(axis: DrivenAxis) -> 
     assert not jumps(axis, lambda y: y)
 
 
+@pytest.mark.slow
 def test_lost_samples_lead_no_simulation_to_infinity() -> None:
     # Inverse dynamics gave a friction that drives the axis; from there a simulation overflowed, in a LinAlgError.
     record = DrivenAxis(duration_s=8.0, noise=1e-6).record(1)

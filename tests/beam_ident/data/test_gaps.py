@@ -42,6 +42,7 @@ def test_a_hole_is_filled_as_well_as_is_said(length: int) -> None:
         assert np.max(missed) < 5e-6
 
 
+@pytest.mark.slow
 def test_a_hole_near_an_end_is_filled_as_well_as_is_said() -> None:
     """There is less to see from it than from holes farther inside, by which the rules are judged."""
     duration, start, end = 10.0, 1.0, 90.0
@@ -76,6 +77,7 @@ def test_stamps_that_wander_are_filled_by_a_straight_line() -> None:
     assert max(gap.sigma for gap in gaps) < 1e-12
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("hold", ["zoh", "linear", "cubic", "band_limited"])
 def test_a_grid_that_lacks_stamps_has_gaps_as_with_nan(hold: Hold) -> None:
     values = sweep(noise=1e-7)

@@ -39,6 +39,7 @@ def test_where_many_samples_are_lost_no_interval_says_anything() -> None:
     assert possible_jumps(record(PERIOD * np.arange(1000)[kept]), 0, ["u"]) == []
 
 
+@pytest.mark.slow
 def test_a_lost_sample_where_nothing_is_found_ends_in_a_word_of_that() -> None:
     rng = np.random.default_rng(0)
     stamps = np.delete(PERIOD * np.arange(400), 100)
@@ -97,6 +98,7 @@ def case() -> JumpingClock:
     return JumpingClock()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "seed", [1, 7, 115]
 )  # the camera's clock, the input's, that by nearly a whole period
@@ -114,6 +116,7 @@ def test_a_jump_is_found_at_its_place_and_size_and_does_not_move_the_poles(
     assert any("jumps by" in said for said in result.warnings)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 7])  # the camera's clock, the input's
 def test_validation_takes_a_jump_out_of_an_unseen_record(case: JumpingClock, seed: int) -> None:
     model = case.found(0).model
@@ -126,6 +129,7 @@ def test_validation_takes_a_jump_out_of_an_unseen_record(case: JumpingClock, see
         assert "jumps by" in own.verdict
 
 
+@pytest.mark.slow
 def test_frames_that_were_lost_are_no_jump(case: JumpingClock) -> None:
     whole = case.record(0)
     outputs = [
@@ -139,6 +143,7 @@ def test_frames_that_were_lost_are_no_jump(case: JumpingClock) -> None:
     assert identify(lost, PLAIN, None, FREE, FIXED).clock_jumps == ()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("first", [3000, 9000])
 def test_samples_of_the_input_that_were_lost_are_no_jump(case: JumpingClock, first: int) -> None:
     whole = case.record(0)
@@ -153,6 +158,7 @@ def test_samples_of_the_input_that_were_lost_are_no_jump(case: JumpingClock, fir
 
 # The longest stretch without a lost message shows two modes of three (24), or little but their ringing (20). Messages
 # lost at rest tell nothing of a clock, but that it had jumped would leave other samples out (159).
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [24, 20, 159])
 def test_lost_messages_while_an_input_sweeps_are_no_jumps_nor_lead_the_search_astray(seed: int) -> None:
     case, phrases = Gaps(), set[str]()

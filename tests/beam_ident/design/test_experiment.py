@@ -52,6 +52,7 @@ def certain() -> ExperimentDesign:
     return design()
 
 
+@pytest.mark.slow
 def test_the_design_keeps_all_limits_whatever_the_poles_are(uncertain: ExperimentDesign):
     model, own = two_modes(), limits(two_modes())
     assert max(uncertain.optimal.shares.values()) <= 0.95
@@ -68,6 +69,7 @@ def test_the_design_keeps_all_limits_whatever_the_poles_are(uncertain: Experimen
         assert candidate.recipe.total_s == pytest.approx(8.0)
 
 
+@pytest.mark.slow
 def test_the_design_beats_the_best_usual_excitations(uncertain: ExperimentDesign, certain: ExperimentDesign):
     assert uncertain.gain < 0.9
     assert uncertain.optimal.value < uncertain.multisine.value
@@ -84,6 +86,7 @@ def test_the_design_beats_the_best_usual_excitations(uncertain: ExperimentDesign
     assert there(uncertain) < there(certain)
 
 
+@pytest.mark.slow
 def test_each_criterion_is_best_at_its_own(certain: ExperimentDesign):
     damping = design("c:zeta_2")
     assert damping.worst_parameter == "zeta_2"
@@ -91,6 +94,7 @@ def test_each_criterion_is_best_at_its_own(certain: ExperimentDesign):
     assert certain.optimal.pole_sd["zeta_1"] < damping.optimal.pole_sd["zeta_1"]
 
 
+@pytest.mark.slow
 def test_estimates_scatter_as_predicted(uncertain: ExperimentDesign):
     model = two_modes()
     recipe, predicted = uncertain.recipe, uncertain.optimal.predicted
@@ -138,12 +142,14 @@ def test_what_no_design_can_be_made_of_is_refused(changes: dict[str, Any], said:
         design(**changes)
 
 
+@pytest.mark.slow
 def test_limits_that_leave_no_excitation_are_named_with_what_would_do():
     tiny = replace(limits(two_modes()), axis=AxisLimits(travel=1e-9, acceleration=4.0))
     with pytest.raises(ExcitationLimitError, match=r"the limit of travel binds\. Raise it by a factor of"):
         design(limits=tiny)
 
 
+@pytest.mark.slow
 def test_a_design_that_the_tip_alone_limits_beats_the_usual_ones() -> None:
     # At 45 Hz the tip hardly moves with the base: next to it, lines at the first resonance have little acceleration.
     model = ModalModel(

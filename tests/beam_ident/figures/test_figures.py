@@ -45,6 +45,7 @@ def test_pole_ellipses_are_centred_on_the_poles(rational):
     assert len(figure.axes) == 3
 
 
+@pytest.mark.slow
 def test_modal_poles_have_ellipses_of_their_own_axes(modal):
     model = modal[1].model
     figure = figures.pole_zero_figure(model)

@@ -90,6 +90,7 @@ def test_the_step_response_of_a_displacement_is_the_second_derivative_of_the_acc
     np.testing.assert_allclose(model("base_motion").step_response(times), slope, rtol=1e-4, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_the_band_of_the_step_response_is_the_scatter_of_drawn_models():
     own = model("acceleration")
     times = np.array([0.02, 0.2, 0.5])

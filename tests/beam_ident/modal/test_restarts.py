@@ -26,6 +26,7 @@ from beam_ident.modal_estimation.variable_projection import fit_modes, held_cost
 from tests.beam_ident.truth import OMEGAS, RESIDUES, ZETAS, beam_record
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize(("kind", "differentiations"), [("velocity", 1), ("acceleration", 0), ("force", 0)])
 def test_errors_of_a_bridge_do_to_an_output_what_a_simulation_says(kind: str, differentiations: int) -> None:
     start, end, missing = 1.0, 1.021, 20
@@ -67,6 +68,7 @@ def damaged(record: TimeRecord, holes: tuple[tuple[float, float], ...]) -> TimeR
     return dataclasses.replace(record, inputs=(dataclasses.replace(drive, values=values),))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("quantity", ["position", "velocity", "acceleration"])
 def test_gaps_of_any_length_leave_the_poles_where_they_are(quantity: str) -> None:
     structure = "base_motion" if quantity == "position" else quantity
@@ -87,6 +89,7 @@ def test_gaps_of_any_length_leave_the_poles_where_they_are(quantity: str) -> Non
     assert np.max(np.abs(found.model.residues - RESIDUES) / found.model.residue_sd) < 4.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("quantity", ["velocity", "acceleration"])
 def test_modes_are_found_between_many_gaps_of_an_integrated_input(quantity: str) -> None:
     rng = np.random.default_rng(0)
@@ -101,6 +104,7 @@ def test_modes_are_found_between_many_gaps_of_an_integrated_input(quantity: str)
     assert np.max(np.abs(z)) < 4.0
 
 
+@pytest.mark.slow
 def test_a_bridge_that_nobody_believes_excites_nothing_in_the_search() -> None:
     # What a poor bridge does at its ends would look like a blow, which reaches 500 Hz, and hides modes behind it.
     record = damaged(beam_record(3), ((3.0, 4.0),))
@@ -112,6 +116,7 @@ def test_a_bridge_that_nobody_believes_excites_nothing_in_the_search() -> None:
     assert np.max(np.abs(z)) < 4.0
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize(("hole", "is_known"), [((3.0, 4.0), False), ((3.0, 3.1), True)])
 def test_what_begins_after_a_poor_bridge_is_unknown(hole: tuple[float, float], is_known: bool) -> None:
     # Errors at a few other places do not say what a bridge that went wrong does at its ends.
@@ -137,6 +142,7 @@ def test_knowledge_of_a_bridge_yields_to_what_the_fit_finds() -> None:
         assert abs(amplitudes[place]) < 4.0 * np.hypot(sd, np.sqrt(fit.covariance[place, place]))
 
 
+@pytest.mark.slow
 def test_outputs_with_delays_of_their_own_may_have_gaps_of_the_input() -> None:
     record = damaged(beam_record(3), ((2.0, 2.022), (6.1, 6.13)))
     late = dataclasses.replace(record.outputs[2], times_s=record.outputs[2].times_s + 2e-3)
@@ -144,6 +150,7 @@ def test_outputs_with_delays_of_their_own_may_have_gaps_of_the_input() -> None:
     assert found.model.output_delays[2] == pytest.approx(2e-3, abs=2e-4)
 
 
+@pytest.mark.slow
 def test_a_fit_that_fails_names_the_gaps() -> None:
     times = 1e-3 * np.arange(4000)
     rng = np.random.default_rng(0)

@@ -69,6 +69,7 @@ def test_modes_above_half_the_frame_rate_are_found_where_they_are():
     np.testing.assert_allclose(found.model.frequencies_hz, [4.4, 28.3], rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_intervals_cover_and_the_misfit_is_that_of_noise():
     scores, misfits = [], []
     for seed in range(16):

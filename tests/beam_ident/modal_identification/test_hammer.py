@@ -18,6 +18,7 @@ def z_scores(model) -> np.ndarray:
     return np.append(scores, (model.residues - RESIDUES) / model.residue_sd)
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("start_s", [2e-4, 1.0])
 @pytest.mark.parametrize("kind", ["receptance", "mobility", "accelerance"])
 def test_a_blow_is_identified_wherever_it_falls_and_whatever_the_sensor_measures(kind, start_s):
@@ -28,6 +29,7 @@ def test_a_blow_is_identified_wherever_it_falls_and_whatever_the_sensor_measures
     assert np.max(np.abs(z_scores(found.model))) < 4.2
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize(
     ("kind", "start_s"), [("receptance", 2e-4), ("accelerance", 2e-4), ("accelerance", 0.02)]
 )
@@ -38,6 +40,7 @@ def test_standard_deviations_are_the_bound_computed_apart(kind, start_s):
     assert stated == pytest.approx(case.bound, rel=0.06)
 
 
+@pytest.mark.slow
 def test_several_blows_are_known_better_by_the_root_of_their_number():
     case = Hammer("accelerance", 0.01, 1.0, 3)
     records = case.records(3)
@@ -46,6 +49,7 @@ def test_several_blows_are_known_better_by_the_root_of_their_number():
     assert one.natural_frequency_sd / three.natural_frequency_sd == pytest.approx(3**0.5, rel=0.1)
 
 
+@pytest.mark.slow
 def test_a_record_that_begins_with_a_blow_in_motion_is_not_taken_from_rest():
     case = Hammer("receptance", 2e-4)
     (record,) = case.records(4)
@@ -64,6 +68,7 @@ def test_a_record_that_begins_with_a_blow_in_motion_is_not_taken_from_rest():
     assert np.max(np.abs(model.damping_ratios - ZETAS) / model.damping_ratio_sd) < 4.0
 
 
+@pytest.mark.slow
 def test_close_modes_that_settle_slowly_give_no_sensor_a_delay():
     # Two modes 1.5 Hz apart settle late: the outputs are asked one by one, while free motion hides their clocks.
     hertz, zetas = np.array([12.3, 47.1, 118.0, 119.5, 260.0]), 1e-3 * np.array([6, 4, 8, 6, 3])
@@ -88,6 +93,7 @@ def test_close_modes_that_settle_slowly_give_no_sensor_a_delay():
     np.testing.assert_allclose(found.model.damping_ratios, zetas, rtol=0.02)
 
 
+@pytest.mark.slow
 def test_hum_that_a_blow_does_not_ring_is_no_mode():
     (record,) = Hammer("accelerance", 0.01).records(11)
     outputs = []

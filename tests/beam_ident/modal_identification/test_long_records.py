@@ -51,6 +51,7 @@ RECORDS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", RECORDS)
 def test_a_record_in_pieces_is_identified_like_the_whole(kind, request):
     record = RECORDS[kind]()
@@ -79,6 +80,7 @@ DIFFICULT = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", DIFFICULT)
 def test_pieces_weigh_by_their_noise_like_the_whole(kind, monkeypatch):
     record = DIFFICULT[kind]()
@@ -103,6 +105,7 @@ def stopped_at(phrase: str, error: type[BaseException], record: TimeRecord) -> I
     return identify(record, progress=progress)
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize(
     ("phrase", "error", "said", "n_modes"),
     [
@@ -119,6 +122,7 @@ def test_what_is_found_is_not_lost_when_a_later_step_fails(phrase, error, said, 
     assert any(said in warning for warning in found.warnings)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("in_pieces")
 def test_what_some_samples_show_is_not_lost_when_all_are_too_many():
     found = stopped_at("fitting to all samples", MemoryError, beam_record(3))
@@ -135,6 +139,7 @@ def test_an_estimation_that_has_found_nothing_yet_is_interrupted():
         stopped_at("looking for mode 1", KeyboardInterrupt, beam_record(3))
 
 
+@pytest.mark.slow
 def test_a_model_is_not_lost_when_a_later_look_for_delays_is_stopped():
     looks = []
 

@@ -56,6 +56,7 @@ def test_a_delay_of_one_output_is_found_and_costs_nothing(delay: float) -> None:
     assert min(own.scores.fit_percent for own in unseen) > 99.5
 
 
+@pytest.mark.slow
 def test_a_rate_of_one_output_is_found_beside_its_delay() -> None:
     record = late(1, {"z225": 3e-3}, {"z225": 6e-5})
     found = identify(record)
@@ -72,6 +73,7 @@ def test_a_rate_of_one_output_is_found_beside_its_delay() -> None:
     assert min(own.scores.fit_percent for own in unseen) > 99.5
 
 
+@pytest.mark.slow
 def test_what_is_known_of_single_clocks_is_taken_as_it_is() -> None:
     # Camera 2 ms late, which nobody knows; the laser known to be 5 ms late, or known to 1 us.
     record = late(2, {"z010": 2e-3, "z225": 5e-3, "z285": 2e-3})
@@ -104,6 +106,7 @@ def test_an_unfit_latency_is_refused(latency, said) -> None:
         identify(beam_record(1), latency=latency)
 
 
+@pytest.mark.slow
 def test_modes_are_not_added_for_a_delay_of_one_output() -> None:
     # With one clock for both, eight modes follow each other before a ninth is refused.
     looked_for = []
@@ -126,6 +129,7 @@ def test_modes_are_not_added_for_a_delay_of_one_output() -> None:
     assert abs(own - 3e-3) < 4.0 * float(np.linalg.norm(found.model.output_delay_sd)) < 1e-4
 
 
+@pytest.mark.slow
 def test_outputs_that_share_a_clock_have_no_delays() -> None:
     # One record in a thousand.
     for seed in range(4):
@@ -134,6 +138,7 @@ def test_outputs_that_share_a_clock_have_no_delays() -> None:
         assert not any("stamps of" in said for said in found.warnings)
 
 
+@pytest.mark.slow
 def test_a_file_of_an_earlier_version_has_no_delays() -> None:
     stored = identify(beam_record(1), n_modes=3).model.to_dict()
     for name in ("output_delays_s", "output_delay_sd_s", "output_rates", "output_rate_sd"):
@@ -175,6 +180,7 @@ def strip_in_air(drag: float = 2.0, noise: float = 1e-6) -> TimeRecord:
     return TimeRecord((InputSignal("hub", "m", (0.0, 1e-3), encoder, "linear", sigma=noise),), tuple(outputs))
 
 
+@pytest.mark.slow
 def test_a_clock_that_was_left_out_is_not_looked_for_twice() -> None:
     weighed = []
 
@@ -186,6 +192,7 @@ def test_a_clock_that_was_left_out_is_not_looked_for_twice() -> None:
     assert 2 < sum(weighed) < 7, sum(weighed)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("drag", "noise"), [(2.0, 1e-6), (2.0, 3e-8), (8.0, 3e-8)])
 def test_what_a_curve_leaves_is_no_crowd_of_modes_and_no_clock(drag: float, noise: float) -> None:
     record = strip_in_air(drag, noise)

@@ -73,6 +73,7 @@ def deviations(model):
     return np.abs(np.concatenate([frequencies, (model.damping_ratios - DAMPING) / model.damping_ratio_sd]))
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("order", [1, 2])
 @pytest.mark.parametrize(("hold", "corner"), [("zoh", 2e-3), ("linear", 3e-4), ("cubic", 3e-4)])
 def test_what_a_low_pass_shows_of_an_input_is_what_scipy_says(order, hold, corner):
@@ -92,6 +93,7 @@ def test_the_cutoff_is_where_71_percent_is_shown():
         assert abs(1.0 / (1.0 + low_pass.lag_s * s + low_pass.bend_s2 * s**2)) == pytest.approx(0.5**0.5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("filters", "known"),
     [
@@ -107,6 +109,7 @@ def test_a_low_pass_that_is_stated_is_taken_out(filters, known):
     assert not result.model.low_passes
 
 
+@pytest.mark.slow
 def test_a_low_pass_that_nobody_stated_is_found_and_the_poles_do_not_bend():
     result = identify(filmed((behind(1, 300.0),) * 2))  # else -3.5 standard deviations, with white residuals
     assert np.max(deviations(result.model)) < 3.0
@@ -115,6 +118,7 @@ def test_a_low_pass_that_nobody_stated_is_found_and_the_poles_do_not_bend():
     assert "z0 shows the motion through a low-pass, 0.5" in " ".join(result.warnings)
 
 
+@pytest.mark.slow
 def test_no_mode_is_made_of_a_low_pass_and_the_model_keeps_it_for_validation():
     result = identify(filmed((None, behind(2, 60.0))))  # else a mode at 44 Hz, and a delay of 3.9 ms
     model = ModalModel.from_dict(result.model.to_dict())
@@ -129,6 +133,7 @@ def test_no_mode_is_made_of_a_low_pass_and_the_model_keeps_it_for_validation():
     assert [own.scores.fit_percent for own in unseen.outputs] > [99.9] * 2
 
 
+@pytest.mark.slow
 def test_modes_that_stand_for_low_passes_are_left_out_all_at_once():
     result = identify(filmed((behind(2, 80.0),) * 2, swept=True))  # else a third is made
     assert result.model.n_modes == 2
@@ -137,6 +142,7 @@ def test_modes_that_stand_for_low_passes_are_left_out_all_at_once():
     assert not any("Misfit" in own for own in result.warnings)
 
 
+@pytest.mark.slow
 def test_coloured_noise_is_no_low_pass():
     def slow(rng, n):
         return signal.lfilter([1.0], [1.0, -0.9], rng.standard_normal(n))
@@ -154,6 +160,7 @@ def test_what_does_not_take_a_low_pass_out_refuses_it():
         estimate_transfer_function(record, 2, 1)
 
 
+@pytest.mark.slow
 def test_a_search_that_leads_to_no_low_pass_ends_there():
     # Records on which the likeliest low-pass is none at all: its lag shrinks without an end.
     structure = ModalStructure("receptance", has_offset=True, has_ramp=True, has_free_response=False)

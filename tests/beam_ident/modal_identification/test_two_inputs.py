@@ -37,6 +37,7 @@ def test_two_forces_give_modes_and_the_residues_of_each(case, result):
     assert result.warnings == ()
 
 
+@pytest.mark.slow
 def test_a_second_input_is_no_disturbance(case):
     # With one force taken for all there is, the other's share is noise, ten times as large as the true one.
     alone = identify(case.record(1), "receptance", n_modes=3, input_name="shaker").model
@@ -87,6 +88,7 @@ def test_it_predicts_another_record_of_the_same_forces(case, result):
         validate(result.model, TimeRecord(case.drives[:1], case.record(7).outputs))
 
 
+@pytest.mark.slow
 def test_report_and_figures_show_every_input(case, result, tmp_path):
     text = write_report(tmp_path / "report.html", "two forces", case.record(1), result).read_text()
     assert "shaker, hammer" in text

@@ -52,6 +52,7 @@ def test_one_sample_in_a_hundred_is_counted_and_named(size):
     assert not named(estimate_transfer_function(record_of(1.0), 1, 0).warnings)
 
 
+@pytest.mark.slow
 def test_identify_names_every_output_in_one_warning():
     record = beam_record(1)
     assert not named(identify(record, n_modes=3).warnings)
@@ -70,6 +71,7 @@ def test_a_student_t_likelihood_is_as_good_as_leaving_out_what_was_named():
     assert plain.model.standard_deviations[0] > 5.0 * known.standard_deviations[0]
 
 
+@pytest.mark.slow
 def test_outliers_in_coloured_noise_are_left_out():
     drive = InputSignal("u", "N", (0.0, 0.005), np.random.default_rng(7).standard_normal(1300), "zoh")
     noise = 0.02 * lfilter([1.0], [1.0, -0.9], np.random.default_rng(1).standard_normal(len(STAMPS)))
@@ -126,6 +128,7 @@ NOISES = {
 }
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("kind", list(NOISES))
 def test_noise_is_no_outlier_whatever_its_colour_and_distribution(kind):
     rng = np.random.default_rng(11)
@@ -135,6 +138,7 @@ def test_noise_is_no_outlier_whatever_its_colour_and_distribution(kind):
     assert not any(alarms)
 
 
+@pytest.mark.slow
 def test_noise_free_data_have_residuals_of_rounding_and_no_warning():
     drive = InputSignal("u", "N", (0.0, 0.005), np.random.default_rng(7).standard_normal(1300), "zoh")
     record = TimeRecord((drive,), (OutputSignal("y", "m", STAMPS, PLANT.simulate(drive, STAMPS)),))
@@ -148,6 +152,7 @@ def test_noise_free_data_have_residuals_of_rounding_and_no_warning():
     assert estimate_common_poles(ringing, 2, 1).warnings == ()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("n_modes", [2, None])
 def test_identify_finds_the_modes_of_noise_free_data_without_a_warning(n_modes):
     found = identify(modal_record(noise=0.0), n_modes=n_modes)

@@ -53,6 +53,7 @@ def test_noise_that_rings_slowly_beside_the_sampling_on_a_drift_is_no_response(s
     assert not is_related([(times, measured)], [left], 6, False, False)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [2, 3, 6, 13])
 def test_noise_that_rings_is_no_model_of_an_unrelated_input(seed):
     record = unrelated_record(seed)

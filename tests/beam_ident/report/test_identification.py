@@ -65,6 +65,7 @@ def page(modal, theory):
     )
 
 
+@pytest.mark.slow
 def test_the_report_is_one_file_that_needs_nothing_else(page, tmp_path):
     path = page.write(tmp_path / "deeper" / "report.html")
     text = path.read_text()
@@ -110,6 +111,7 @@ def test_the_report_shows_modes_data_and_provenance_escaped(page):
     assert "FIT from rest [%]" in text
 
 
+@pytest.mark.slow
 def test_a_report_names_every_unit_of_its_equation(modal):
     text = identification_page("t", *modal).text()
     table = re.search(r"<caption[^>]*><span>Every symbol.*?</table>", text, re.DOTALL)[0]
@@ -122,6 +124,7 @@ def test_a_report_names_every_unit_of_its_equation(modal):
     assert found["σ[z285]"] == "m"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", BY_NAME)
 def test_every_estimator_has_a_report(name):
     found = result(name)
@@ -145,6 +148,7 @@ def test_the_table_of_poles_has_their_place_in_the_plane(modal):
     assert np.allclose(poles, modal[1].model.poles, rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_report_is_not_overwritten_unasked(modal, tmp_path):
     path = write_report(tmp_path / "report.html", "first", *modal)
     with pytest.raises(ReportError, match="is there already"):
@@ -153,12 +157,14 @@ def test_a_report_is_not_overwritten_unasked(modal, tmp_path):
     assert "second" in path.read_text()
 
 
+@pytest.mark.slow
 def test_several_records_are_drawn_one_by_one(modal):
     records = [beam_record(1), beam_record(2)]
     page = identification_page("t", records, identify(records, n_modes=3))
     assert {"record-1", "record-2"} <= set(page.figures)
 
 
+@pytest.mark.slow
 def test_a_long_record_is_shown_where_its_input_moves_most(modal):
     data, found = modal
     assert busiest_stretch(data) is data

@@ -57,6 +57,7 @@ def test_averaged_spectra_find_the_response_and_say_how_well(noise_record):
     assert 0.3 < np.sqrt(np.mean((error / found.sd[band, 0, 0]) ** 2)) < 2.0
 
 
+@pytest.mark.slow
 def test_h1_and_h2_bracket_the_truth_when_the_input_is_noisy():
     record = make_record(np.random.default_rng(0).standard_normal(40000), 0.3, input_noise=0.3)
     sizes = {}
@@ -82,6 +83,7 @@ def test_local_polynomials_remove_the_transient_of_a_short_record():
     assert 0.6 < np.sqrt(np.mean(z**2)) < 1.8  # the mean square of |complex z| is 1
 
 
+@pytest.mark.slow
 def test_a_reference_signal_removes_the_bias_of_a_noisy_input():
     rng = np.random.default_rng(5)
     command = rng.standard_normal(40000)
@@ -138,6 +140,7 @@ def test_lines_that_share_data_are_said_to_and_a_fit_of_them_warns():
     assert welch_response(TimeRecord((drive,), (noise,))).shared_lines == 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["h1", "reference"])
 def test_the_variance_of_few_averages_is_not_below_the_scatter(method):
     errors, variances = [], []
@@ -167,6 +170,7 @@ def leaks(drive: np.ndarray, **options: float) -> bool:
     return any("what leaks" in said for said in welch_response(make_record(drive, 0.1), **options).warnings)
 
 
+@pytest.mark.slow
 def test_leakage_of_what_is_no_stationary_noise_is_named(noise_record):
     t = PERIOD_S * np.arange(20000)
     assert leaks(np.sin(2 * np.pi * (0.5 * t + 14.5 * t**2 / (2 * t[-1]))))
@@ -177,6 +181,7 @@ def test_leakage_of_what_is_no_stationary_noise_is_named(noise_record):
     assert sum(leaks(np.random.default_rng(seed).standard_normal(8000)) for seed in range(10)) <= 1
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize(
     "estimate",
     [

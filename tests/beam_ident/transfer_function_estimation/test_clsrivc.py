@@ -23,6 +23,7 @@ def test_without_noise_the_plant_is_exact():
     assert found.model.input_name == "drive"
 
 
+@pytest.mark.slow
 def test_coloured_noise_in_the_loop_biases_the_open_loop_estimate_and_not_this_one():
     case = LoopCase(0.9, 5.0)
     outcomes = [case.run(seed) for seed in range(3)]
@@ -34,6 +35,7 @@ def test_coloured_noise_in_the_loop_biases_the_open_loop_estimate_and_not_this_o
     assert (plain - PARAMETERS).mean(axis=0)[3] / sd[3] < -2.0
 
 
+@pytest.mark.slow
 def test_a_gap_leaves_the_colour_and_the_estimate_without_bias():
     errors = []
     for seed in range(3):
@@ -50,6 +52,7 @@ def test_a_gap_leaves_the_colour_and_the_estimate_without_bias():
     assert abs(ours) < 0.5 * abs(plain_error)
 
 
+@pytest.mark.slow
 def test_the_noise_is_whitened_and_its_model_is_returned():
     found = estimate(loop_record(3, 0.9, 10.0))
     assert found.noise_coefficients[1] == pytest.approx(-0.9, abs=0.03)
@@ -130,6 +133,7 @@ def test_offset_and_ramp_are_told_at_the_middle_and_over_the_length():
     assert (neither.offset, neither.ramp) == (0.0, 0.0)
 
 
+@pytest.mark.slow
 def test_noise_has_its_colour_at_stamps_of_any_spacing_too():
     scores, gains = [], []
     for seed in range(8):

@@ -70,6 +70,7 @@ def test_rao_garnier_is_efficient_in_every_parameter(snr_db, low, high):
     assert np.all((covered > 0.92) & (covered < 0.98))
 
 
+@pytest.mark.slow
 def test_without_noise_every_estimator_that_is_exact_finds_the_truth():
     record = benchmark_record(0, 300.0)
     for method in ("auto", "srivc"):

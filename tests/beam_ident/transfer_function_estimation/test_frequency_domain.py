@@ -19,6 +19,7 @@ def test_a_held_and_folded_response_gives_the_continuous_plant(hold, step):
     np.testing.assert_allclose(found.model.parameters[:3], PLANT.parameters[:3], rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_intervals_cover():
     scores = []
     for seed in range(40):

@@ -48,6 +48,7 @@ def worst(model: object) -> float:
     return float(np.max(np.abs(found - DENOMINATOR[1:]) / model.standard_deviations[:2]))  # type: ignore[attr-defined]
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("energy", [0.03, 1.0, 10.0])
 @pytest.mark.parametrize("method", ["auto", "output_error", "rivc", "srivc"])
 def test_motion_at_the_beginning_is_found_and_estimated_along(energy: float, method: str) -> None:
@@ -58,6 +59,7 @@ def test_motion_at_the_beginning_is_found_and_estimated_along(energy: float, met
     assert worst(found.model) < 4.0
 
 
+@pytest.mark.slow
 def test_rest_is_taken_for_motion_as_rarely_as_is_stated() -> None:
     # 5 % of 60 are 3; more than 9 have a chance of 1e-3.
     estimates = [estimate_transfer_function(record(seed, 0.0), 2, 0, output_name="a") for seed in range(60)]
@@ -78,6 +80,7 @@ def test_motion_that_is_left_out_by_request_is_named_and_biases() -> None:
     assert not any("motion" in said for said in still.warnings)
 
 
+@pytest.mark.slow
 def test_common_poles_orders_and_subspaces_find_it_too() -> None:
     moving, still = record(3, 3.0), record(3, 0.0)
     found = estimate_common_poles(moving, 2, 0)
@@ -104,6 +107,7 @@ def test_validation_gives_the_plain_simulation_beside_the_one_with_motion() -> N
     assert f"{moving.simulation_scores.fit_percent:.2f} % simulated from rest" in moving.verdict
 
 
+@pytest.mark.slow
 def test_a_gap_splits_a_record_into_pieces_that_begin_in_motion() -> None:
     whole = record(6, 0.0)
     drive = whole.inputs[0]

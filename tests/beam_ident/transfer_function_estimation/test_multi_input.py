@@ -43,6 +43,7 @@ def test_two_inputs_share_their_poles_at_irregular_stamps(common, model):
     assert model.parameter_names[:5] == ("a1", "a2", "a3", "a4", "b0[force]")
 
 
+@pytest.mark.slow
 def test_inputs_with_poles_of_their_own_are_told_apart(own):
     found = estimate_transfer_function(own.record(2), own.n_poles, own.n_zeros)
     assert found.converged
@@ -53,6 +54,7 @@ def test_inputs_with_poles_of_their_own_are_told_apart(own):
     assert [path.n_poles for path in paths] == [4, 2]
 
 
+@pytest.mark.slow
 def test_delays_of_several_inputs_are_found_together(own):
     record = own.record(4)
     late = record.inputs[1]
@@ -96,6 +98,7 @@ def test_an_unseen_record_is_predicted_and_validated(common, model):
         validate(model, TimeRecord(record.inputs[:1], record.outputs))
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("which", ["common", "own"])
 def test_the_states_of_all_inputs_are_the_frequency_response(which, request):
     case = request.getfixturevalue(which)
@@ -163,6 +166,7 @@ def test_the_path_of_an_input_has_the_uncertainty_of_its_own_parameters(has_comm
         assert np.array_equal(model.path(name).covariance, model.covariance[np.ix_(places, places)])
 
 
+@pytest.mark.slow
 def test_the_search_gives_every_input_its_own_degree():
     common = MultiInput(has_common_poles=True)
     selection = select_transfer_function(common.record(0), [4], [2, 3])

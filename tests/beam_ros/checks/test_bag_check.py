@@ -101,6 +101,7 @@ def test_markers_that_are_lost_are_counted_one_by_one_with_the_longest_gap(tmp_p
     assert gate(check, "samples of z285").figure.endswith("0 missing (0 %)")
 
 
+@pytest.mark.slow
 def test_gaps_of_the_hub_are_named_with_their_place(tmp_path: Path) -> None:
     with Bag(WHOLE) as old, BagWriter(tmp_path / "bag") as new:
         number = 0
@@ -114,6 +115,7 @@ def test_gaps_of_the_hub_are_named_with_their_place(tmp_path: Path) -> None:
     assert "(501 ms)" in found.figure
 
 
+@pytest.mark.slow
 def test_a_marker_at_the_end_of_its_range_is_saturated(tmp_path: Path) -> None:
     def clipped(k: int, row: Displacement) -> Displacement:
         return with_positions(row, np.minimum(row.positions, [1.0, 1.0, 0.006]))
@@ -123,6 +125,7 @@ def test_a_marker_at_the_end_of_its_range_is_saturated(tmp_path: Path) -> None:
     assert "z285 stand at 0.006" in found.figure
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize(("scale", "words"), [(1e3, "millimetres?"), (-1.0, "sign?")])
 def test_units_that_cannot_be_are_named(tmp_path: Path, scale: float, words: str) -> None:
     def scaled(k: int, row: Displacement) -> Displacement:
@@ -141,6 +144,7 @@ def test_frames_at_another_rate_than_the_rigs_are_named(tmp_path: Path) -> None:
     assert "100 frames a second" in found.expected
 
 
+@pytest.mark.slow
 def test_a_hub_that_stood_still_cannot_be_identified(tmp_path: Path) -> None:
     rig = Rig.from_file().with_values(
         {"excitation.duration": 2.0, "excitation.still": 1.0, "simulation.encoder_noise": 1e-6}
@@ -178,6 +182,7 @@ def test_a_record_that_tells_nothing_of_its_modes_cannot_be_identified(tmp_path:
     assert gate(check, "noise of z285").verdict == "doubtful"
 
 
+@pytest.mark.slow
 def test_modes_of_an_output_whose_noise_nobody_knows_are_no_reason_to_refuse(tmp_path: Path) -> None:
     lost = set(np.random.default_rng(3).permutation(2000)[:600].tolist())
     check = check_bag(changed(tmp_path / "bag", lambda k, row: None if k in lost else row))
@@ -196,6 +201,7 @@ def test_modes_of_an_output_whose_noise_nobody_knows_are_no_reason_to_refuse(tmp
     assert {own.verdict for own in check.gates if own.name.startswith("mode at")} == {"passed"}
 
 
+@pytest.mark.slow
 def test_a_bag_without_a_rig_or_without_its_topics_is_checked_as_far_as_it_goes(tmp_path: Path) -> None:
     check = check_bag(changed(tmp_path / "bag", lambda k, row: row, ("excitation/info",)))
     assert check.can_be_identified
@@ -229,6 +235,7 @@ def test_a_damaged_file_is_named_and_a_missing_one_is_the_users_fault(tmp_path: 
         check_bag(tmp_path / "nowhere")
 
 
+@pytest.mark.slow
 def test_the_verb_prints_the_verdict_above_the_table_and_its_status_is_the_verdict(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -246,6 +253,7 @@ def test_the_verb_prints_the_verdict_above_the_table_and_its_status_is_the_verdi
     assert "expected one of z010, z225, z285" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_mode_that_the_frame_rate_folds_into_the_excitation_is_named(tmp_path: Path) -> None:
     values = {"excitation.kind": "multisine", "excitation.end_frequency": 24.0, "excitation.still": 2.0}
     for rate, is_folded in ((50.0, True), (100.0, False)):

@@ -60,6 +60,7 @@ def test_a_killed_recording_comes_back_whole(tmp_path):
     assert len(messages_of_whole_bag(report.target)) == 60
 
 
+@pytest.mark.slow
 def test_every_cut_gives_a_prefix_or_a_refusal(tmp_path):
     size = (_killed(tmp_path) / "run_0.mcap").stat().st_size
     counts = []
@@ -206,6 +207,7 @@ def _damaged_copies(data, chunks, random):
     yield "zeros everywhere", bytes(copy)
 
 
+@pytest.mark.slow
 def test_damage_costs_what_it_hit_and_is_counted(tmp_path):
     run = write_experiment(tmp_path / "run", batches=400)
     data = (run / "run_0.mcap").read_bytes()
@@ -243,6 +245,7 @@ def test_a_killed_recording_whose_first_chunk_is_damaged_keeps_its_names(tmp_pat
     assert sum(report.lost.values()) == 200 - report.message_count
 
 
+@pytest.mark.slow
 def test_info_and_recover_say_the_same(tmp_path):
     run = write_experiment(tmp_path / "run", batches=100)
     data = bytearray((run / "run_0.mcap").read_bytes())

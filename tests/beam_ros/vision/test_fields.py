@@ -87,6 +87,7 @@ def film(
     return tracker, found
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize(
     ("apart", "is_woven", "noise", "swing_px"),
     [(0.5, False, 2.0, 4.0), (-0.5, False, 5.0, 12.0), (1.0, True, 2.0, 5.0)],
@@ -106,6 +107,7 @@ def test_two_fields_are_found_and_their_mean_is_stated_for_the_middle_instant(
     assert 0.2 < np.sqrt(np.nanmean(np.square(scores))) < 1.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("turn", [0.8, 1.0])
 def test_what_is_not_known_to_be_two_instants_yet_is_in_the_standard_deviation(turn):
     scores = []
@@ -117,6 +119,7 @@ def test_what_is_not_known_to_be_two_instants_yet_is_in_the_standard_deviation(t
     assert 0.5 < np.sqrt(np.nanmean(np.square(scores))) < 1.5
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize(("noise", "swing_px", "readout_s"), [(2.0, 4.0, 0.0), (5.0, 30.0, 0.008)])
 def test_one_instant_is_no_interlacing_nor_is_a_rolling_shutter(noise, swing_px, readout_s):
     tracker, _ = film(0.0, False, noise, swing_px, readout_s)

@@ -144,6 +144,7 @@ def test_the_driver_gives_the_same_answers_as_the_simulated_hub(start):
     assert real == simulated
 
 
+@pytest.mark.slow
 def test_applied_and_measured_are_the_simulators_bit_for_bit(start):
     rig_parameters = BeamParameters.from_section(0.3, 0.025, 0.0005, 7850.0, 200e9, hub_mass=0.8)
     values = rest_to_rest(1800, 0.7)
@@ -501,6 +502,7 @@ def test_a_flood_neither_starves_the_executor_nor_ends_the_driver(driver):
         server.close()
 
 
+@pytest.mark.slow
 def test_whatever_a_vanishing_port_raises_is_a_connection_error(emulator):
     """Plugged and unplugged at random times while it is opened, read and written without a pause."""
     rng = random.Random(8)

@@ -234,6 +234,7 @@ def test_a_servo_under_a_drifting_clock_works_in_true_time() -> None:
         x, v = x + v * T + value * T * T / 2, v + value * T
 
 
+@pytest.mark.slow
 def test_drag_slows_the_beam_under_a_force_too() -> None:
     def amplitude(terms: NonlinearTerms | None) -> float:
         axis = enabled_axis(AxisParameters(command_mode="effort"), BeamPlant(MODEL, T, terms))

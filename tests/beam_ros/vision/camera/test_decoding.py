@@ -69,6 +69,7 @@ def test_pictures_come_in_order_as_they_were_written(tmp_path: Path, codec: str,
     assert worst <= (0 if codec == "FFV1" else 30)
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("codec", ["FFV1", "MJPG"])
 def test_damage_marks_pictures_and_changes_none_of_the_others(tmp_path: Path, codec: str, seed: int) -> None:
@@ -113,6 +114,7 @@ def test_what_python_says_meanwhile_is_seen_and_marks_nothing(
     assert capfd.readouterr().err.count("a line") == 60
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("is_heeded", [False, True])
 def test_who_stops_early_leaves_no_decoder_behind(tmp_path: Path, is_heeded: bool) -> None:
     path = tmp_path / "beam.avi"

@@ -74,6 +74,7 @@ def dropped(kind: str, n: int, rng: np.random.Generator) -> np.ndarray:
     return np.flatnonzero(keep) * PERIOD
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("kind", ["none", "one", "many", "bursts"])
 def test_frames_that_were_dropped_without_a_word_are_found_and_the_rest_gets_its_right_times(
     experiment, kind
@@ -105,6 +106,7 @@ def test_a_frame_lost_while_the_hub_rests_breaks_the_swing_and_ends_what_is_time
     assert found.is_timed[: lost - 20].all()
 
 
+@pytest.mark.slow
 def test_a_mode_that_wakes_while_the_hub_seems_to_rest_is_no_lost_frame():
     # Its swing broke the recursion, as it was not there before: frames of a film without losses were not timed.
     t = np.arange(30_000) * 5e-4
@@ -157,6 +159,7 @@ def test_across_a_gap_a_swing_neither_breaks_nor_tells_that_nothing_is_lost():
     assert np.array_equal(np.flatnonzero(silent[_RECURSION:]) + _RECURSION, np.arange(gap, gap + _RECURSION))
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("kind", ["jitter", "variable"])
 def test_times_that_nobody_can_tell_are_refused(experiment, kind):
     rng = np.random.default_rng([3, *kind.encode()])
@@ -219,6 +222,7 @@ def run(experiment: Experiment, seed: int) -> str:
     return "ok" if is_right else "wrong"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1048, 1136, 2070, 2076, 2151])
 def test_uneven_films_do_not_pass_for_films_that_lack_frames_nor_bursts_for_noise(experiment, seed):
     # Up to 128 ms wrong, where frames at rest told the noise, and a jitter that nobody could tell passed for none.

@@ -175,6 +175,7 @@ def test_a_hand_before_the_strip_is_not_measured_and_the_rest_is(bright):
     assert np.isfinite(u[51:]).mean() > 0.98
 
 
+@pytest.mark.slow
 def test_a_bright_thread_beside_the_strip_does_not_take_it_over(bright):
     frames = bright.frames(np.random.default_rng(3)).astype(int)
     frames[:, 100:300, 95] += 100

@@ -34,6 +34,7 @@ def is_wrong(u: np.ndarray, sigma: np.ndarray, truth: np.ndarray) -> np.ndarray:
     return np.abs(u - truth) > np.maximum(6 * sigma, 0.35)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "lines",
     [
@@ -54,6 +55,7 @@ def test_of_lines_that_look_like_the_strip_the_one_that_moves_is_taken(swinging,
     assert not np.any(reasons[6:] == DOUBTFUL)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("column", [90.5, 93.0, 96.0])
 def test_a_line_that_the_strip_comes_near_is_never_the_strip(swinging, column):
     light = np.maximum(swinging.light, 20.0 + bars((column, 100.0)))
@@ -62,6 +64,7 @@ def test_a_line_that_the_strip_comes_near_is_never_the_strip(swinging, column):
     assert not np.any(is_wrong(u, sigma, swinging.truth))
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize(("columns", "grey"), [(slice(86, 87), 128), (slice(96, 98), 255)])
 def test_a_bright_line_close_to_a_dim_strip_is_not_taken_for_it(columns, grey):
     parameters, camera = made(80.0, 2.0, 0.75, n_frames=1).parameters, camera_of(80.0, 2.0, 0.75)
@@ -109,6 +112,7 @@ def cable(shapes: np.ndarray) -> np.ndarray:
     return 100.0 * (right - left)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "of_height", [lambda z: 1.0 - 0.8 * z, lambda z: np.sin(np.pi * z), lambda z: 1.0 + z**2]
 )

@@ -132,6 +132,7 @@ def test_a_row_is_empty_beside_a_marker_exactly_where_a_search_finds_nothing_the
     assert 40 < n_alone < 360
 
 
+@pytest.mark.slow
 def test_a_camera_that_shows_noise_alone_costs_no_search_for_smears(monkeypatch):
     # A thousand spots a frame, a millisecond and a half each: half a second for every frame of a covered lens.
     searches = []
