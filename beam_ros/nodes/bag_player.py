@@ -40,8 +40,8 @@ _HUB_TOPIC = "hub/measured"
 class BagPlayer(RigNode):
     """Plays one bag and ends."""
 
-    def __init__(self) -> None:
-        super().__init__("bag_player")
+    def __init__(self, **options: Any) -> None:
+        super().__init__("bag_player", **options)
         path = self.rig.player.bag
         if not path:
             raise UsageError("player.bag is empty: expected a bag's folder; give it with -p player.bag:=PATH")

@@ -80,8 +80,8 @@ class TopicTap:
 class BagRecorder(RigNode):
     """Records the rig on request, or from its start."""
 
-    def __init__(self) -> None:
-        super().__init__("bag_recorder")
+    def __init__(self, **options: Any) -> None:
+        super().__init__("bag_recorder", **options)
         self._recording: Recording | None = None
         self._taps: list[TopicTap] = []
         self._begun_at = 0.0

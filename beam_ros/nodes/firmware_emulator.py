@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import time
+from typing import Any
 
 from beam_ros.shell.axis_emulators import emulated_axis
 from beam_ros.shell.fault_requests import FaultRequests
@@ -21,8 +22,8 @@ _FILM_S = 0.005
 class FirmwareEmulator(RigNode):
     """The controller, its beam and the camera."""
 
-    def __init__(self) -> None:
-        super().__init__("firmware_emulator")
+    def __init__(self, **options: Any) -> None:
+        super().__init__("firmware_emulator", **options)
         self._controller = emulated_axis(self)
         self._requests = FaultRequests(self, self._controller)
         self._camera = SimulatedCamera(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from typing import Any
 
 from builtin_interfaces.msg import Time
 from rosgraph_msgs.msg import Clock
@@ -22,9 +23,9 @@ from beam_ros.shell.simulated_camera import SimulatedCamera
 class Simulator(HubNode):
     """The simulated rig: hub, beam and camera."""
 
-    def __init__(self) -> None:
+    def __init__(self, **options: Any) -> None:
         self._camera: SimulatedCamera | None = None
-        super().__init__("simulator", self._build)
+        super().__init__("simulator", self._build, **options)
         self._requests = FaultRequests(self, self._faults)
         factor = self.rig.simulation.real_time_factor
         self._simulated_time = self.offer("/clock") if factor != 1.0 else None

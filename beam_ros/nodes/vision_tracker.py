@@ -37,8 +37,8 @@ _LOG_AGAIN_S = 5.0
 class VisionTracker(RigNode):
     """Follows the markers in a camera's frames and publishes where they are."""
 
-    def __init__(self) -> None:
-        super().__init__("vision_tracker")
+    def __init__(self, **options: Any) -> None:
+        super().__init__("vision_tracker", **options)
         rig, camera = self.rig, self.rig.camera_parameters()
         self._names = rig.markers.names
         self._encoder_sd_m = rig.hub.encoder_resolution / math.sqrt(12.0)

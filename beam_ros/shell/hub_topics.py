@@ -21,7 +21,7 @@ from beam_ros.hub.contract import HostTime, Hub, HubEvent, HubReport, HubStatus,
 from beam_ros.messages import MessageContentError
 from beam_ros.rig.rig import Rig
 from beam_ros.shell.freeze_watch import FreezeWatch
-from beam_ros.shell.node import REQUEST_SENT_NS, RigNode
+from beam_ros.shell.node import RigNode, request_sent_ns
 
 _POLL_S = 0.01
 _CALM_POLL_S = 0.04
@@ -42,10 +42,11 @@ class HubNode(RigNode):
     ----------
     executable : str -- ``simulator`` or ``hub_driver``
     build : callable -- makes the hub from the rig's parameters
+    **options -- as of ``RigNode``
     """
 
-    def __init__(self, executable: str, build: Callable[[Rig], Hub]) -> None:
-        super().__init__(executable)
+    def __init__(self, executable: str, build: Callable[[Rig], Hub], **options: Any) -> None:
+        super().__init__(executable, **options)
         self._hub = build(self.rig)
         self._status = HubStatus()
         self._told_mode: tuple[object, ...] = ()
@@ -89,7 +90,7 @@ class HubNode(RigNode):
     async def _ask(self, kind: RequestKind, response: Any) -> Any:
         objection = None
         if kind not in _ALWAYS_TAKEN:
-            objection = self._freeze.objection(time.monotonic_ns(), REQUEST_SENT_NS.get())
+            objection = self._freeze.objection(time.monotonic_ns(), request_sent_ns())
         if objection:
             response.success, response.message = False, f"{kind} refused: the hub's process {objection}"
             self.get_logger().warning(response.message)

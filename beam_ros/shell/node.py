@@ -50,6 +50,14 @@ _GRAPH_IS_GONE = ("RCLError", "InvalidHandle", "NotInitializedException")
 """What rclpy raises in a callback when a signal shuts the graph down between two of its lines."""
 
 
+def request_sent_ns() -> int:
+    """Return the steady time [ns] at which the request was sent that a callback begins to answer.
+
+    An executor that does not hand it on, of a process that composes nodes by itself, leaves the time of now.
+    """
+    return REQUEST_SENT_NS.get(time.monotonic_ns())
+
+
 class _Executor(SingleThreadedExecutor):  # type: ignore[misc]
     """Hands on when a request was sent, and does not wake itself.
 
@@ -113,6 +121,7 @@ class RigNode(Node):  # type: ignore[misc]
     Parameters
     ----------
     executable : str -- key of ``beam_ros.interfaces.graph.NODES``
+    **options -- keyword arguments of ``rclpy.node.Node``: context, namespace, parameter_overrides, cli_args, ...
 
     Attributes
     ----------
@@ -127,9 +136,9 @@ class RigNode(Node):  # type: ignore[misc]
         The node cannot keep the time that it is given.
     """
 
-    def __init__(self, executable: str) -> None:
+    def __init__(self, executable: str, **options: Any) -> None:
         self.row = graph.NODES[executable]
-        super().__init__(self.row.name, automatically_declare_parameters_from_overrides=True)
+        super().__init__(self.row.name, automatically_declare_parameters_from_overrides=True, **options)
         self.types = RosTypes()
         self.rig = self._declare_parameters()
         check_time(executable, self.rig, uses_sim_time=self._uses_sim_time())

@@ -8,6 +8,7 @@ import time
 from typing import Any
 
 import rclpy
+from rclpy.context import Context
 from rclpy.executors import ExternalShutdownException, ShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
@@ -34,11 +35,12 @@ class OwnThread:
     Parameters
     ----------
     name : str -- of the node and the thread
+    context : Context, optional -- that of the first node; None: the process's default
     """
 
-    def __init__(self, name: str) -> None:
-        self.node = Node(name)
-        self._executor = SingleThreadedExecutor()
+    def __init__(self, name: str, context: Context | None = None) -> None:
+        self.node = Node(name, context=context)
+        self._executor = SingleThreadedExecutor(context=context)
         self._executor.add_node(self.node)
         self._thread = threading.Thread(target=self._spin, name=name, daemon=True)
 
@@ -54,7 +56,7 @@ class OwnThread:
 
     def _spin(self) -> None:
         try:
-            while rclpy.ok() and self._executor.get_nodes():
+            while self.node.context.ok() and self._executor.get_nodes():
                 self._executor.spin_once(timeout_sec=0.1)
         except (ExternalShutdownException, ShutdownException):
             return
