@@ -46,6 +46,8 @@ class HandingOver:
         What the hub said last, "handed over" before that, "lost" when the hub is missed.
     reason : str
         Why it was refused, ended early or is lost.
+    is_late : bool
+        It was refused for its time alone, before anything moved.
     """
 
     def __init__(
@@ -61,6 +63,7 @@ class HandingOver:
         self.sequence_id = sequence_id
         self.state = "handed over"
         self.reason = ""
+        self.is_late = False
         self._chunks = chunks
         self._start_ns, self._end_ns = start_ns, end_ns
         self._n_hubs = n_hubs
@@ -92,6 +95,7 @@ class HandingOver:
         """Take a message of the hub's about a sequence; one about another sequence is not for us."""
         if report.get("id") == self.sequence_id:
             self.state, self.reason = str(report.get("state")), str(report.get("reason", ""))
+            self.is_late = self.state == "refused" and report.get("late") is True
 
     def hear(self, now_s: float) -> None:
         """Take note of a sign of life of the hub at a steady time [s]."""

@@ -135,12 +135,15 @@ class SequenceReport:
         Samples received so far.
     reason : str
         Why it was refused or ended early; empty otherwise.
+    is_late : bool
+        Refused for its time alone: made anew with a later start it may be taken.
     """
 
     sequence_id: str
     state: SequenceState
     points: int
     reason: str = ""
+    is_late: bool = False
 
 
 @dataclass(frozen=True)

@@ -128,7 +128,7 @@ TOPICS: dict[str, Topic] = {
             "a sequence in chunks of at most 500 points that share one start stamp",
             is_command=True,
         ),
-        Topic("hub/sequence_state", STRING, _LATCHED, "JSON: id, state, points received, reason"),
+        Topic("hub/sequence_state", STRING, _LATCHED, "JSON: id, state, points received, reason, late"),
         Topic(
             "hub/applied",
             JOINT_TRAJECTORY,

@@ -29,6 +29,7 @@ def sequence_state(types: MessageTypes, report: SequenceReport) -> Any:
         "state": report.state,
         "points": report.points,
         "reason": report.reason,
+        "late": report.is_late,
     }
     return json_text(types, content)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from dataclasses import dataclass, field
 from typing import Any
 
 from rclpy.callback_groups import ReentrantCallbackGroup
@@ -14,25 +15,27 @@ from beam_ros.bags.batches import encode_chunk
 from beam_ros.errors import faults_of_the_user
 from beam_ros.excitation.handing_over import SILENCE_S, HandingOver
 from beam_ros.excitation.plan import ExcitationPlan, plan_excitation
-from beam_ros.hub.contract import MAX_CHUNK_POINTS
+from beam_ros.excitation.start_lead import CHUNKS_PER_TICK, TICK_S, StartLead, first_lead
 from beam_ros.messages import MessageContentError
 from beam_ros.shell.freeze_watch import FreezeWatch
-from beam_ros.shell.node import REQUEST_SENT_NS, RigNode, run_node
+from beam_ros.shell.node import RigNode, request_sent_ns, run_node
 
-_CHUNKS_PER_TICK = 4
-_TICK_S = 0.02
-_SLOWNESS = 1.5
-"""A busy computer hands over so much more slowly."""
-_MARGIN_S = 1.0
-_CHECK_S_PER_TICK = 1e-5
-"""Between the last chunk and the start, for the hub to check the whole: 5e-7 s a tick on an idle computer."""
+
+@dataclass
+class _StartRequest:
+    """Somebody who waits for the start: since when, for which plan, and the answer."""
+
+    sent_ns: int
+    answer: Future = field(default_factory=Future)
+    plan: ExcitationPlan | None = None
+    lead: StartLead | None = None
 
 
 class ExcitationGenerator(RigNode):
     """Hands over one sequence at a time and follows what becomes of it."""
 
-    def __init__(self) -> None:
-        super().__init__("excitation_generator")
+    def __init__(self, **options: Any) -> None:
+        super().__init__("excitation_generator", **options)
         self._sequence = self.offer("hub/sequence")
         self._info = self.offer("excitation/info")
         self._started = 0
@@ -42,14 +45,14 @@ class ExcitationGenerator(RigNode):
         self._freeze = FreezeWatch()
         self._planned: ExcitationPlan | str | None = None
         self._planning: threading.Thread | None = None
-        self._verdict: Future | None = None
+        self._request: _StartRequest | None = None
         self._heard_s: float | None = None
         # Both answer when the hub has; in a group of their own they keep nothing else waiting.
         group = ReentrantCallbackGroup()
         self.serve("excitation/start", self._on_start, callback_group=group)
         self.serve("excitation/stop", self._on_stop, callback_group=group)
         self._hub_stop = self.call_of("hub/stop", callback_group=group)
-        self.create_timer(_TICK_S, self._tick)
+        self.create_timer(TICK_S, self._tick)
         self._publish_info(plan_excitation(self.rig), {})
 
     def _publish_info(self, plan: ExcitationPlan, more: dict[str, Any]) -> None:
@@ -74,15 +77,15 @@ class ExcitationGenerator(RigNode):
         if refusal:
             response.success, response.message = False, refusal
             return response
-        self._verdict, self._current = Future(), None
+        self._request, self._current = _StartRequest(request_sent_ns()), None
         # Half an hour at 1 kHz takes seconds to design, and excitation/stop must be heard meanwhile.
         self._planning = threading.Thread(target=self._plan, name="plan", daemon=True)
         self._planning.start()
-        response.success, response.message = await self._verdict
+        response.success, response.message = await self._request.answer
         return response
 
     def _start_refusal(self) -> str | None:
-        objection = self._freeze.objection(time.monotonic_ns(), REQUEST_SENT_NS.get())
+        objection = self._freeze.objection(time.monotonic_ns(), request_sent_ns())
         if objection:
             return f"start refused: the excitation's process {objection}"
         if self._planning is not None:
@@ -105,13 +108,14 @@ class ExcitationGenerator(RigNode):
             self._planned = f"{type(err).__name__}: {err}"
             raise
 
-    def _hand_over(self, plan: ExcitationPlan) -> None:
+    def _hand_over(self, request: _StartRequest, plan: ExcitationPlan) -> None:
         self._started += 1
         name = f"{self.rig.excitation.kind}-{time.time_ns() // 1_000_000}-{self._started}"
         n_ticks, period_ns = len(plan.values), round(plan.sampled.period_s * 1e9)
-        handing_over_s = n_ticks / MAX_CHUNK_POINTS / _CHUNKS_PER_TICK * _TICK_S * _SLOWNESS
-        handing_over_s += _MARGIN_S + n_ticks * _CHECK_S_PER_TICK
-        start_ns = self.now_ns() + round(max(self.rig.excitation.start_delay, handing_over_s) * 1e9)
+        if request.lead is None:
+            first_s = first_lead(n_ticks, self.rig.excitation.start_delay)
+            request.plan, request.lead = plan, StartLead(first_s, time.monotonic())
+        start_ns = self.now_ns() + round(request.lead.lead_s * 1e9)
         chunks = messages.split_sequence(name, start_ns, period_ns, plan.values)
         self._current = HandingOver(
             name,
@@ -130,24 +134,42 @@ class ExcitationGenerator(RigNode):
             self._planning = None
         if isinstance(planned, str):
             self._answer((False, planned))
-        elif planned is not None and self._verdict is not None:
-            self._hand_over(planned)
+        elif planned is not None and self._request is not None:
+            self._hand_over(self._request, planned)
         current = self._current
         if current is None:
             return
-        for chunk in current.take_chunks(_CHUNKS_PER_TICK):
+        for chunk in current.take_chunks(CHUNKS_PER_TICK):
             self._sequence.publish(chunk)
         if current.check(time.monotonic(), self.now_ns(), self._states.get_publisher_count()):
             self.get_logger().error(f"{current.sequence_id} is lost: {current.reason}")
-        self._answer(current.verdict)
+        if not self._hand_over_later(current):
+            self._answer(current.verdict)
+
+    def _hand_over_later(self, refused: HandingOver) -> bool:
+        """Hand a sequence over anew that was refused for its time alone, while somebody waits for its start."""
+        request = self._request
+        if not refused.is_late or request is None or request.lead is None or request.plan is None:
+            return False
+        now_ns, lead = time.monotonic_ns(), request.lead
+        if self._freeze.objection(now_ns, request.sent_ns) or not lead.lengthen(now_ns * 1e-9):
+            return False
+        self.get_logger().warning(
+            f"{refused.sequence_id} was refused: {refused.reason}. Nothing moved; it is handed over anew, "
+            f"{lead.lead_s:.3g} s ahead of its start"
+        )
+        self._hand_over(request, request.plan)
+        return True
 
     def _answer(self, verdict: tuple[bool, str] | None) -> None:
-        if self._verdict is not None and verdict is not None:
-            future, self._verdict = self._verdict, None
-            future.set_result(verdict)
+        if self._request is not None and verdict is not None:
+            request, self._request = self._request, None
+            success, sentence = verdict
+            history = "" if request.lead is None else request.lead.history()
+            request.answer.set_result((success, f"{sentence} ({history})" if history else sentence))
 
     async def _on_stop(self, _request: Any, response: Any) -> Any:
-        if self._current is not None and self._verdict is not None:
+        if self._current is not None and self._request is not None:
             self._current.give_up("excitation/stop was asked for")
         self._answer((False, "excitation/stop was asked for"))
         if not self._hub_stop.service_is_ready():

@@ -30,7 +30,7 @@ from beam_ros.hub.gate.sequence_check import (
     REST_SPEED,
     SequenceCheck,
 )
-from beam_ros.hub.gate.stamps import MAX_AGE_NS, MAX_LEAD_NS, MIN_START_LEAD_NS, READY_LEAD_NS, stale
+from beam_ros.hub.gate.stamps import MAX_AGE_NS, MAX_LEAD_NS, MIN_START_LEAD_NS, READY_LEAD_NS, is_past, stale
 from beam_ros.hub.parameters import AxisParameters
 
 
@@ -160,9 +160,10 @@ class CommandGate:
             return
         if self._is_released or self._check is not None:
             return
-        objection = chunk.fault or stale(chunk.start_ns, now_ns, ahead_ns=MAX_LEAD_NS) or assembler.add(chunk)
+        age = stale(chunk.start_ns, now_ns, ahead_ns=MAX_LEAD_NS)
+        objection = chunk.fault or age or assembler.add(chunk)
         if objection:
-            self._refuse(objection)
+            self._refuse(objection, is_late=objection == age and is_past(chunk.start_ns, now_ns))
             return
         self._report("loading")
         if assembler.is_complete:
@@ -173,13 +174,15 @@ class CommandGate:
     ) -> None:
         objection = self._unready(state, position, speed)
         lead_ns = assembler.start_ns - now_ns
-        if objection is None and lead_ns < MIN_START_LEAD_NS:
-            objection = (
+        if objection:
+            self._refuse(objection)
+            return
+        if lead_ns < MIN_START_LEAD_NS:
+            late = (
                 f"complete {lead_ns * 1e-9:.3f} s before its start: expected at least "
                 f"{MIN_START_LEAD_NS * 1e-9:g} s; give it a later start stamp"
             )
-        if objection:
-            self._refuse(objection)
+            self._refuse(late, is_late=True)
             return
         loads = None
         if self._guard is not None:
@@ -217,7 +220,7 @@ class CommandGate:
             return None
         if check is None:
             if now_ns > assembler.start_ns:
-                self._refuse(f"{assembler.missing()} before its start")
+                self._refuse(f"{assembler.missing()} before its start", is_late=True)
             return None
         lead_ns = assembler.start_ns - now_ns
         if check.is_done and check.objection:
@@ -225,7 +228,8 @@ class CommandGate:
         elif lead_ns < READY_LEAD_NS:
             self._refuse(
                 f"its {assembler.points} samples could not be checked before its start; give it a start stamp that "
-                "is some seconds later for every 1e6 ticks"
+                "is some seconds later for every 1e6 ticks",
+                is_late=True,
             )
         elif check.is_done:
             objection = self._unready(state, position, speed)
@@ -254,22 +258,22 @@ class CommandGate:
         if not self._is_released:
             self.finish("aborted", reason)
 
-    def finish(self, state: SequenceState, reason: str = "") -> None:
+    def finish(self, state: SequenceState, reason: str = "", *, is_late: bool = False) -> None:
         """Note the end of the sequence, if there is one, and unload it."""
-        self._report(state, reason)
+        self._report(state, reason, is_late=is_late)
         if self._check is not None:
             self._check.cancel()
         self._assembler = self._check = None
 
-    def _refuse(self, reason: str) -> None:
+    def _refuse(self, reason: str, *, is_late: bool = False) -> None:
         if self._assembler is not None:
             self._refused = (self._assembler.sequence_id, self._assembler.start_ns)
-        self.finish("refused", reason)
+        self.finish("refused", reason, is_late=is_late)
 
-    def _report(self, state: SequenceState, reason: str = "") -> None:
+    def _report(self, state: SequenceState, reason: str = "", *, is_late: bool = False) -> None:
         if self._assembler is not None:
             self._reports.append(
-                SequenceReport(self._assembler.sequence_id, state, self._assembler.points, reason)
+                SequenceReport(self._assembler.sequence_id, state, self._assembler.points, reason, is_late)
             )
 
 

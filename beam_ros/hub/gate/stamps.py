@@ -12,6 +12,11 @@ READY_LEAD_NS = 50_000_000
 """A sequence must be complete and checked this long before its start."""
 
 
+def is_past(stamp_ns: int, now_ns: int) -> bool:
+    """Tell whether a start stamp [ns, UNIX] that somebody gave is over now."""
+    return 0 < stamp_ns < now_ns
+
+
 def stale(stamp_ns: int, now_ns: int, ahead_ns: int) -> str | None:
     """Return why a command with this stamp [ns, UNIX] is too old or too far ahead now, or None."""
     if stamp_ns <= 0:

@@ -94,6 +94,7 @@ class SequenceStream:
                     "refused",
                     f"the clock map's standard deviation is {sd_ns / 1000:.0f} us: expected below "
                     f"{limit_ns / 1000:g} us; look for a slow USB hub or a busy computer",
+                    is_late=True,
                 )
         if transfer.start_device_ns is None or now_ns - transfer.last_arm_ns < ARM_AGAIN_NS:
             return None
@@ -116,15 +117,15 @@ class SequenceStream:
             self._journal.counters["resent_samples"] += transfer.window.send(*frame, now_ns)
             yield transfer.number, frame[0], transfer.sequence.ticks(*frame)
 
-    def note_answer(self, number: int, is_accepted: bool, text: str) -> None:
-        """Take the device's answer to the announcement."""
+    def note_answer(self, number: int, is_accepted: bool, text: str, received_ns: int) -> None:
+        """Take the device's answer to the announcement, which came at a steady time [ns]."""
         transfer = self._transfer
         if transfer is None or number != transfer.number or transfer.is_accepted:
             return
         if is_accepted:
             transfer.is_accepted = True
         else:
-            self._end_early("refused", text)
+            self._end_early("refused", text, is_late=received_ns > transfer.start_steady_ns)
 
     def follow(
         self, number: int, state: str, received: int, free: int, reason: str, received_ns: int
@@ -165,6 +166,6 @@ class SequenceStream:
             "processors at both ends, or use a faster line or a longer hub.period"
         )
 
-    def _end_early(self, state: Literal["refused", "aborted"], reason: str) -> None:
+    def _end_early(self, state: Literal["refused", "aborted"], reason: str, *, is_late: bool = False) -> None:
         self._transfer = None
-        self._gate.finish(state, reason)
+        self._gate.finish(state, reason, is_late=is_late)

@@ -327,8 +327,8 @@ class HubClient:
             if reply.phase == "success":
                 self._supervisor.note_done(kind)
 
-    def _on_arm_reply(self, reply: protocol.ArmReply, _received_ns: int) -> None:
-        self._stream.note_answer(reply.number, reply.is_accepted, reply.text)
+    def _on_arm_reply(self, reply: protocol.ArmReply, received_ns: int) -> None:
+        self._stream.note_answer(reply.number, reply.is_accepted, reply.text, received_ns)
 
     def _on_telemetry(self, telemetry: protocol.Telemetry, received_ns: int) -> None:
         lost = self._stamping.add(telemetry.ticks, received_ns, self._clock)

@@ -47,6 +47,21 @@ def test_a_refusal_ends_the_handing_over() -> None:
     assert sequence.take_chunks(4) == []
 
 
+def test_only_a_refusal_for_its_time_alone_is_late() -> None:
+    for report, is_late in (
+        ({"state": "refused", "reason": "old", "late": True}, True),
+        ({"state": "refused", "reason": "too far", "late": False}, False),
+        ({"state": "refused", "reason": "of a hub that says no more"}, False),
+        ({"state": "aborted", "reason": "stop was asked for", "late": True}, False),
+    ):
+        sequence = handing_over()
+        sequence.note({"id": "s", **report})
+        assert sequence.is_late is is_late
+    sequence = handing_over()
+    sequence.note({"id": "another", "state": "refused", "late": True})
+    assert not sequence.is_late
+
+
 def test_a_hub_that_falls_silent_is_missed_after_three_seconds() -> None:
     sequence = handing_over()
     sequence.note({"id": "s", "state": "running"})

@@ -100,6 +100,34 @@ def test_a_sequence_completed_too_late_is_refused():
     assert "later start stamp" in reports[-1].reason
 
 
+def last_report(gate, chunks, now_ns=NOW, **condition):
+    return feed(gate, chunks, now_ns, **condition)[1][-1]
+
+
+def test_what_is_refused_for_its_time_alone_is_said_to_be_late():
+    """Made anew with a later start it may be taken; nothing else may."""
+    values = rest_to_rest(1000)
+    in_time = chunks_of(values, NOW + 10**9)
+    old = chunks_of(values, NOW - 300_000_000)
+    assert last_report(gate_at_once(), old).is_late
+    assert last_report(gate_at_once(), chunks_of(values, NOW + 50_000_000)).is_late
+    incomplete = gate_at_once()
+    feed(incomplete, in_time[:1])
+    assert last_report(incomplete, [], NOW + 10**9 + 1).is_late
+    unchecked = CommandGate(ACCELERATION, in_background=True)
+    feed(unchecked, in_time[:1])
+    unchecked.add(in_time[1], NOW, "enabled", 0.0, 0.0)
+    assert last_report(unchecked, [], NOW + 10**9 - 40_000_000).is_late
+
+    assert not last_report(gate_at_once(), in_time).is_late
+    assert not last_report(gate_at_once(), chunks_of(values, NOW + 10**13)).is_late
+    assert not last_report(gate_at_once(), chunks_of(values, 0)).is_late
+    assert not last_report(gate_at_once(), in_time, state="homed").is_late
+    assert not last_report(gate_at_once(), in_time, speed=0.1).is_late
+    faulty = [dataclasses.replace(chunk, fault="of another mode") for chunk in old]
+    assert not last_report(gate_at_once(), faulty).is_late
+
+
 @pytest.mark.parametrize("state", ["disconnected", "identified", "homed", "fault"])
 def test_nothing_passes_an_axis_that_is_not_enabled(state):
     gate = gate_at_once()
