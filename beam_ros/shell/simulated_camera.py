@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
+from itertools import islice
 
 import numpy as np
 
@@ -14,6 +16,9 @@ from beam_ros.shell.node import RigNode
 from beam_ros.vision.camera.images import as_jpeg
 from beam_ros.vision.rendering.frames import SceneRenderer
 
+TURN_S = 0.04
+"""Frames of so long a time are drawn before the node turns to what else waits [s]: a node that is behind catches up
+in many turns, and one that is polled every 10 ms still does."""
 MAX_LAG_S = 0.1
 """So far a simulation may be behind real time before it says so [s]: ten polls of the hub."""
 
@@ -48,6 +53,7 @@ class SimulatedCamera:
         self._noise = rig.simulation.displacement_noise
         self._preset = rig.simulation.preset
         self._published = 0
+        self._frames_per_turn = math.ceil(TURN_S * self._film.camera.rate_hz)
         self._worst_lag_s = 0.0
         if with_images:
             self._renderer = SceneRenderer(
@@ -87,8 +93,8 @@ class SimulatedCamera:
         return "OK", "", counters
 
     def publish_until(self, reached_ns: int) -> None:
-        """Publish every exposure that has ended by ``reached_ns`` [ns, UNIX]."""
-        for exposure in self._film.due(reached_ns):
+        """Publish exposures that have ended by ``reached_ns`` [ns, UNIX]; commands wait for a few, not for all."""
+        for exposure in islice(self._film.due(reached_ns), self._frames_per_turn):
             self._show(exposure)
             self._published += 1
 
