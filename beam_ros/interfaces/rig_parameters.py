@@ -172,6 +172,7 @@ class EmulatorSettings:
     clock_drift_ppm: float = setting("device clock against the host's", "ppm", -1e3, 1e3)
     line_baud: int = setting("at which bytes travel; 0: as fast as USB", "baud", 0, 12_000_000)
     fifo: int = setting("bytes that wait in each direction; more are lost", "bytes", 64, 1_000_000)
+    buffer: int = setting("samples of a sequence that it takes ahead of their time", "", 64, 65535)
 
 
 @dataclass(frozen=True)

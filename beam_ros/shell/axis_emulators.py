@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import sys
 import threading
 import time
@@ -70,7 +71,8 @@ class EmulatedAxis(FaultyAxis, Protocol):
 
 
 def _device(rig: Rig) -> SimulatedDevice:
-    return rig.simulated_device(rig.emulator.clock_drift_ppm, _POWER_ON_NS)
+    device = rig.simulated_device(rig.emulator.clock_drift_ppm, _POWER_ON_NS)
+    return dataclasses.replace(device, buffer_samples=rig.emulator.buffer)
 
 
 def _beam(node: RigNode) -> EmulatedAxis:
@@ -141,7 +143,7 @@ class _ControllerTopics:
     def __init__(self, node: RigNode) -> None:
         rig = node.rig
         self._types = node.types
-        self._own = OwnThread("emulated_controller_manager")
+        self._own = OwnThread("emulated_controller_manager", node.context)
         own = self._own.node
         self._joint = rig.trajectory.joint
         # Its own thread leads it, the node's thread films it.
