@@ -18,6 +18,10 @@ class RigUnavailableError(RigError, OSError):
     """A part of the rig is not there: a port, a device, a node or a service did not answer."""
 
 
+class NodeFallenError(RigUnavailableError):
+    """A node ended by itself, which it would do again."""
+
+
 class UsageError(RigError, ValueError):
     """A command was called with arguments that do not go together."""
 

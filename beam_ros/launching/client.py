@@ -38,6 +38,7 @@ class RigClient:
     displacement : dict -- newest u by marker's name [m]; NaN where it was not seen
     hub_position : float -- newest hub position [m]
     sequence : dict -- newest ``hub/sequence_state``
+    has_moved : bool -- a sequence has run, or begun to
     recorded : dict -- messages that the recorder has, by topic
     hub_counters : dict or None -- the hub's newest values on ``/diagnostics``
     hub_trouble : str -- the hub's newest sentence there, where it reports an error
@@ -52,6 +53,7 @@ class RigClient:
         self.displacement: dict[str, float] = {}
         self.hub_position = math.nan
         self.sequence: dict[str, Any] = {}
+        self.has_moved = False
         self._on_result: Callable[[dict[str, Any]], None] = lambda result: None
         self.hub_counters: dict[str, object] | None = None
         self.hub_trouble = ""
@@ -77,6 +79,7 @@ class RigClient:
 
     def _on_sequence_state(self, message: Any) -> None:
         self.sequence = json.loads(message.data)
+        self.has_moved |= self.sequence.get("state") in ("running", "done", "underrun")
 
     def _on_identification(self, message: Any) -> None:
         self._on_result(json.loads(message.data))
@@ -198,13 +201,19 @@ class RigClient:
             raise RigUnavailableError(f"{service} was refused: {response.message}")
         return str(response.message)
 
-    def identify(self, timeout_s: float, on_tick: Callable[[float], None]) -> dict[str, Any]:
+    def identify(
+        self,
+        timeout_s: float,
+        on_tick: Callable[[float], None],
+        on_begun: Callable[[], None] = lambda: None,
+    ) -> dict[str, Any]:
         """Have the identifier work on its bag and return what it publishes.
 
         Parameters
         ----------
         timeout_s : float -- patience
         on_tick : callable -- called with the seconds waited so far, for progress
+        on_begun : callable -- called once the identifier works
 
         Raises
         ------
@@ -214,6 +223,7 @@ class RigClient:
         results: list[dict[str, Any]] = []
         self._on_result = results.append
         self.call("identifier/identify")
+        on_begun()
         what, remedy = "the identifier published no result", "look at identifier.log"
         self.wait(lambda: bool(results), timeout_s, what, remedy, on_tick)
         return results[-1]

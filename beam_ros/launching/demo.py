@@ -1,16 +1,23 @@
-"""The demo: the whole experiment over ROS 2, conducted from one process, each node a process of its own."""
+"""The demo: the whole experiment over ROS 2, conducted from one process, each node a process of its own.
+
+It needs real time, which a busy computer may not have. What came too late is tried again, and at last the core of
+``beam simulate`` makes the same experiment, so that there is a report in any case, which says how it was made.
+"""
 
 from __future__ import annotations
 
 import os
+import sys
 import tempfile
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from beam_ros.errors import RigUnavailableError
 from beam_ros.excitation.plan import plan_excitation
 from beam_ros.interfaces.graph import RigKind, emulated_port, nodes_of_rig
+from beam_ros.launching.attempts import Attempt, Failure, Outcome, persist
 from beam_ros.launching.client import RigClient
 from beam_ros.launching.processes import (
     NodeGroup,
@@ -24,11 +31,21 @@ from beam_ros.process.progress import Progress
 from beam_ros.rig.rig import Rig
 from beam_ros.rig.time_keeping import check_time_of_rig
 
-_IDENTIFY_TIMEOUT_S = 90.0
+NOT_SHOWN = {
+    RigKind.SIMULATED: "the nodes, their messages over ROS 2, real time, the camera's frames and the tracker",
+    RigKind.EMULATED: "the nodes, their messages over ROS 2, real time, the serial line and the firmware behind it, "
+    "the camera's frames and the tracker",
+}
+"""What a bag of the core leaves out of the experiment, by the rig that was asked for."""
+
+_IDENTIFY_GUARD_S = 900.0
+"""The fit has no real time to keep: this long it may take on a busy computer [s]."""
+_USUAL_IDENTIFY_S = 20.0
+_LONGEST_START_DELAY_S = 60.0
 
 
-def conduct_demo(rig: Rig, kind: RigKind, folder: Path, *, record_images: bool = False) -> dict[str, Any]:
-    """Run the experiment and return its result.
+def conduct_demo(rig: Rig, kind: RigKind, folder: Path, *, record_images: bool = False) -> Outcome:
+    """Run the experiment and return its outcome.
 
     Parameters
     ----------
@@ -39,45 +56,71 @@ def conduct_demo(rig: Rig, kind: RigKind, folder: Path, *, record_images: bool =
 
     Returns
     -------
-    dict -- what the identifier published on ``identification/result``
+    Outcome -- with what the identifier published on ``identification/result``, or what stands in for it
 
     Raises
     ------
-    RigUnavailableError
-        A node fell, did not answer or refused.
+    UsageError
+        The excitation leaves a limit, or the rig cannot keep the time that it is given.
     """
     check_time_of_rig(kind, rig)
-    plan = plan_excitation(rig)
-    factor = rig.simulation.real_time_factor
-    length_s = (rig.excitation.start_delay + plan.sampled.duration_s) / factor
+    plan_excitation(rig)
     make_folder(folder)
+
+    def carry_out(attempt: Attempt) -> dict[str, Any]:
+        try:
+            return _with_nodes(rig, kind, folder, attempt, record_images=record_images)
+        except RigUnavailableError:
+            _set_aside(folder, attempt)
+            raise
+
+    return persist(carry_out, partial(_without_nodes, rig, folder), _tell)
+
+
+def _tell(failure: Failure, next_step: str) -> None:
+    """Say on the terminal what came to nothing, and what is done about it."""
+    first, *more = failure.lines()
+    print(f"attempt {failure.attempt.number:<16} {first}", file=sys.stderr)  # noqa: T201
+    for line in (*more, next_step):
+        print(f"{'':<24} {line}", file=sys.stderr, flush=True)  # noqa: T201
+
+
+def _set_aside(folder: Path, attempt: Attempt) -> None:
+    """Move what an attempt has left into a folder of its own."""
+    aside = make_folder(folder / f"attempt-{attempt.number}")
+    for path in sorted(folder.iterdir()):
+        if not path.name.startswith("attempt-"):
+            path.rename(aside / path.name)
+
+
+def _with_nodes(
+    rig: Rig, kind: RigKind, folder: Path, attempt: Attempt, *, record_images: bool
+) -> dict[str, Any]:
     with ExitStack() as stack:
         scratch = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="beam-rig-")))
         domain = PrivateDomain()
         stack.callback(domain.release)
         stay_on_this_machine(os.environ, domain.number, scratch / "ros")
-        rig_here = _rig_for_run(rig, kind, folder, scratch, record_images)
+        rig_here = _rig_for_run(rig, kind, folder, scratch, attempt, record_images=record_images)
         nodes = stack.enter_context(NodeGroup(folder / "logs"))
         try:
-            result = _experiment(rig_here, kind, nodes, domain.number, length_s)
+            return _experiment(rig_here, kind, nodes, domain.number, attempt)
         finally:
-            with Progress("stop", 1) as stage:
-                statuses = nodes.end()
-                stage.finish(node_ends(statuses))
-        if any(statuses.values()):
-            raise RigUnavailableError(f"a node did not end cleanly: {node_ends(statuses)}; see {folder}/logs")
-    return result
+            attempt.circumstances = nodes.load().sentence()
+            _end(nodes)
 
 
-def _rig_for_run(rig: Rig, kind: RigKind, folder: Path, scratch: Path, record_images: bool) -> Rig:
+def _rig_for_run(
+    rig: Rig, kind: RigKind, folder: Path, scratch: Path, attempt: Attempt, *, record_images: bool
+) -> Rig:
     """Fill in where this run records and reports, and how hub and emulator find each other."""
+    start_delay = min(rig.excitation.start_delay * attempt.patience, _LONGEST_START_DELAY_S)
     changes: dict[str, Any] = {
         "recorder.path": str((folder / "bag").resolve()),
         "recorder.images": record_images,
         "recorder.start_at_launch": False,
-        "identifier.bag": str((folder / "bag").resolve()),
-        "identifier.report": str(folder.resolve()),
-        "identifier.overwrite": True,  # beside the bag, in the run's own folder
+        "excitation.start_delay": max(rig.excitation.start_delay, start_delay),
+        **_identifier_for_run(folder),
     }
     if kind is RigKind.EMULATED:
         port = str(scratch / "controller")
@@ -89,23 +132,78 @@ def _rig_for_run(rig: Rig, kind: RigKind, folder: Path, scratch: Path, record_im
     return here
 
 
-def _experiment(rig: Rig, kind: RigKind, nodes: NodeGroup, domain: int, length_s: float) -> dict[str, Any]:
+def _identifier_for_run(folder: Path) -> dict[str, Any]:
+    return {
+        "identifier.bag": str((folder / "bag").resolve()),
+        "identifier.report": str(folder.resolve()),
+        "identifier.overwrite": True,  # beside the bag, in the run's own folder
+    }
+
+
+def _experiment(rig: Rig, kind: RigKind, nodes: NodeGroup, domain: int, attempt: Attempt) -> dict[str, Any]:
     rig_file = nodes.log_folder.parent / "rig.yaml"
-    with Progress("start", START_TIMEOUT_S, "s") as stage:
+    start_timeout_s = START_TIMEOUT_S * attempt.patience
+    with Progress("start", start_timeout_s, "s") as stage:
         rig_nodes = nodes_of_rig(kind, with_camera_images=rig.simulation.images)
         for executable in (*rig_nodes, "bag_recorder", "identifier"):
             nodes.start(executable, node_arguments(executable, rig, rig_file))
         with RigClient(nodes.check) as client:
-            wait_for_rig(client, nodes.log_folder, START_TIMEOUT_S, stage.update)
+            wait_for_rig(client, nodes.log_folder, start_timeout_s, stage.update)
             stage.finish(f"{len(nodes.nodes)} nodes on domain {domain}, this machine only")
-            measure(rig, client, length_s, has_images=rig.simulation.images)
-            return _identify(client)
+            try:
+                measure(rig, client, has_images=rig.simulation.images, patience=attempt.patience)
+            finally:
+                attempt.has_moved = client.has_moved
+            attempt.circumstances = nodes.load().sentence()
+            return _identify(client, nodes)
 
 
-def _identify(client: RigClient) -> dict[str, Any]:
-    with Progress("identify", _IDENTIFY_TIMEOUT_S, "s") as stage:
-        result = client.identify(_IDENTIFY_TIMEOUT_S, stage.update)
+def _identify(client: RigClient, nodes: NodeGroup) -> dict[str, Any]:
+    with Progress("identify", _USUAL_IDENTIFY_S, "s") as stage:
+        result = client.identify(
+            _IDENTIFY_GUARD_S,
+            stage.update,
+            # The rig has done its part, and would take the processors from the fit.
+            on_begun=lambda: _end(nodes, but=("identifier",)),
+        )
         if "error" in result:
             raise RigUnavailableError(f"identification failed: {result['error']}")
+        stage.finish(f"{len(result['modes'])} modes from {', '.join(result['outputs'])}")
+    return result
+
+
+def _end(nodes: NodeGroup, *, but: tuple[str, ...] = ()) -> None:
+    """End nodes, and say how they ended.
+
+    Raises
+    ------
+    RigUnavailableError
+        One did not end cleanly.
+    """
+    if not nodes.nodes:
+        return
+    with Progress("stop", 1.0) as stage:
+        statuses = nodes.end(but=but)
+        stage.finish(node_ends(statuses))
+    if any(statuses.values()):
+        raise RigUnavailableError(
+            f"a node did not end cleanly: {node_ends(statuses)}; see {nodes.log_folder}"
+        )
+
+
+def _without_nodes(rig: Rig, folder: Path) -> dict[str, Any]:
+    """Make the same experiment in the simulator's core, identify it and report it."""
+    from beam_ros.launching.checked_identification import identify_checked
+    from beam_ros.offline.simulation import simulate
+
+    here = rig.with_values(_identifier_for_run(folder))
+    here.write(folder / "rig.yaml")
+    with Progress("simulate", 1.0) as stage:
+        count = simulate(
+            here, folder / "bag", on_progress=lambda done_s, total_s: stage.update(done_s / total_s)
+        )
+        stage.finish(f"{count} messages in {folder / 'bag'}")
+    with Progress("identify", 1.0) as stage:
+        result = identify_checked(here.identifier, lambda phrase, share: stage.update(share, phrase))
         stage.finish(f"{len(result['modes'])} modes from {', '.join(result['outputs'])}")
     return result

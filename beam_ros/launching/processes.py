@@ -18,17 +18,19 @@ from collections.abc import MutableMapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from beam_ros.errors import RigUnavailableError, suggestion
+from beam_ros.errors import NodeFallenError, RigUnavailableError, suggestion
 from beam_ros.interfaces.graph import NODES
 from beam_ros.process.environment import child_environment
 from beam_ros.process.executables import command
 from beam_ros.process.interruption import hold_signals_back, signals_taken
+from beam_ros.process.processor_load import ProcessorLoad, processor_load
 from beam_ros.rig.rig import Rig
 from beam_ros.rig.time_keeping import follows_clock
 
 _C_LIBRARY = ctypes.CDLL(None)
 _PR_SET_PDEATHSIG = 1
-_GRACE_S = 5.0
+_GRACE_S = 10.0
+"""A node that ends at once on an idle computer takes seconds on a busy one [s]."""
 _ONE_THREAD_EACH = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
 """A node's matrices are small: more threads only take the processor from its neighbours."""
 
@@ -200,28 +202,39 @@ class NodeGroup:
 
         Raises
         ------
-        RigUnavailableError
+        NodeFallenError
             Names the node, its exit status and its last words.
         """
         node = self.fallen()
         if node is not None:
-            raise RigUnavailableError(
+            raise NodeFallenError(
                 f"node {node.executable} ended with status {node.process.returncode}: {node.last_words()} "
                 f"(whole log: {node.log})"
             )
 
-    def end(self) -> dict[str, int]:
-        """End every node, the last started first, and return their exit statuses; takes seconds at most."""
-        with signals_taken(signal.SIG_IGN):
-            return self._end()
+    def end(self, *, but: Sequence[str] = ()) -> dict[str, int]:
+        """End nodes, the last started first, and return their exit statuses; takes seconds at most.
 
-    def _end(self) -> dict[str, int]:
+        Parameters
+        ----------
+        but : sequence of str -- executables that go on
+        """
+        going_on = [node for node in self.nodes if node.executable in but]
+        ending = [node for node in self.nodes if node.executable not in but]
+        with signals_taken(signal.SIG_IGN):
+            statuses = self._end(ending)
+        # Whoever was ended is not missed.
+        self.nodes = going_on
+        return statuses
+
+    @staticmethod
+    def _end(nodes: Sequence[NodeProcess]) -> dict[str, int]:
         for number, patience_s in (
             (signal.SIGINT, _GRACE_S),
             (signal.SIGTERM, _GRACE_S),
             (signal.SIGKILL, 2.0),
         ):
-            running = [node for node in reversed(self.nodes) if node.process.poll() is None]
+            running = [node for node in reversed(nodes) if node.process.poll() is None]
             for node in running:
                 node.process.send_signal(number)
             end = time.monotonic() + patience_s
@@ -230,7 +243,11 @@ class NodeGroup:
                     node.process.wait(max(0.0, end - time.monotonic()))
                 except subprocess.TimeoutExpired:
                     continue
-        return {node.executable: int(node.process.returncode or 0) for node in self.nodes}
+        return {node.executable: int(node.process.returncode or 0) for node in nodes}
+
+    def load(self) -> ProcessorLoad:
+        """Say how busy this computer is, and what these nodes get of it."""
+        return processor_load(node.process.pid for node in self.nodes)
 
     def __enter__(self) -> NodeGroup:
         return self

@@ -12,6 +12,7 @@ from typing import Any
 from beam_ros.errors import RigUnavailableError
 from beam_ros.excitation.plan import plan_excitation
 from beam_ros.excitation.recipes import recipe_of_rig
+from beam_ros.excitation.start_lead import first_lead, longest_wait
 from beam_ros.interfaces.graph import RigKind, emulated_port, nodes_of_rig
 from beam_ros.launching.client import RigClient
 from beam_ros.launching.processes import NodeGroup, PrivateDomain, node_arguments, stay_on_this_machine
@@ -24,6 +25,7 @@ PATIENT_WATCHDOG_S = 1.0
 """Of an emulated axis: nothing real moves, and a busy computer may delay the host."""
 
 _CLOCK_TIMEOUT_S = 30.0
+_ANSWER_TIMEOUT_S = 30.0
 
 
 def record_live(rig: Rig, kind: RigKind, bag: Path, logs: Path) -> None:
@@ -42,9 +44,7 @@ def record_live(rig: Rig, kind: RigKind, bag: Path, logs: Path) -> None:
         A node fell, did not answer or refused; a hub is on the graph already.
     """
     check_time_of_rig(kind, rig)
-    plan = plan_excitation(rig)
-    factor = rig.simulation.real_time_factor if kind is RigKind.SIMULATED else 1.0
-    length_s = (rig.excitation.start_delay + plan.sampled.duration_s) / factor
+    plan_excitation(rig)
     has_images = kind is not RigKind.SIMULATED or rig.simulation.images
     changes: dict[str, Any] = {"recorder.path": str(bag.resolve()), "recorder.start_at_launch": False}
     with ExitStack() as stack:
@@ -69,7 +69,7 @@ def record_live(rig: Rig, kind: RigKind, bag: Path, logs: Path) -> None:
                 nodes.start(executable, node_arguments(executable, here, rig_file))
             wait_for_rig(client, logs, START_TIMEOUT_S + rig.serial.patience, stage.update)
             stage.finish(f"{len(nodes.nodes)} nodes, {client.reach()}")
-        measure(here, client, length_s, has_images=has_images)
+        measure(here, client, has_images=has_images)
         statuses = nodes.end()
         if any(statuses.values()):
             raise RigUnavailableError(f"a node did not end cleanly: {node_ends(statuses)}; see {logs}")
@@ -92,29 +92,33 @@ def wait_for_rig(client: RigClient, logs: Path, timeout_s: float, on_tick: Calla
     )
 
 
-def measure(rig: Rig, client: RigClient, length_s: float, *, has_images: bool) -> None:
+def measure(rig: Rig, client: RigClient, *, has_images: bool, patience: float = 1.0) -> None:
     """Home and enable the hub, run the excitation and record it, and disable the hub again.
 
     Parameters
     ----------
     rig : Rig -- as its nodes have it
     client : RigClient -- of the running rig
-    length_s : float -- how long the excitation lasts on the wall clock [s]
     has_images : bool -- there is a tracker, which is set to zero at home
+    patience : float -- by what the limits on waiting are multiplied
 
     Raises
     ------
     RigUnavailableError
         A service refused, or what was waited for did not happen.
     """
-    with Progress("home and enable", 30.0, "s") as stage:
-        client.call("hub/home", timeout_s=30.0)
+    duration_s = recipe_of_rig(rig).total_s
+    lead_s = first_lead(round(duration_s / rig.hub.period), rig.excitation.start_delay)
+    longest_lead_s = longest_wait(lead_s)
+    factor = rig.simulation.real_time_factor
+    with Progress("home and enable", _ANSWER_TIMEOUT_S, "s") as stage:
+        client.call("hub/home", timeout_s=_ANSWER_TIMEOUT_S * patience)
         if has_images:
-            client.call("tracker/tare")
-        client.call("hub/enable", value=True)
+            client.call("tracker/tare", timeout_s=_ANSWER_TIMEOUT_S * patience)
+        client.call("hub/enable", value=True, timeout_s=_ANSWER_TIMEOUT_S * patience)
         client.wait(
             client.is_clock_settled,
-            _CLOCK_TIMEOUT_S,
+            _CLOCK_TIMEOUT_S * patience,
             "the device's clock was not mapped to 50 us",
             "end other programs that take the processor",
             stage.update,
@@ -125,22 +129,22 @@ def measure(rig: Rig, client: RigClient, length_s: float, *, has_images: bool) -
     client.call("recorder/start")
     client.wait(
         lambda: all(client.recorded.get(topic, 0) > 0 for topic in ("hub/measured", "beam/displacement")),
-        START_TIMEOUT_S,
+        START_TIMEOUT_S * patience,
         "the recorder received nothing from hub and tracker",
         "look at bag_recorder.log",
     )
-    with Progress(rig.excitation.kind, length_s, "s") as stage:
+    with Progress(rig.excitation.kind, (lead_s + duration_s) / factor, "s") as stage:
         client.sequence = {}
-        client.call("excitation/start", timeout_s=30.0)
+        client.call("excitation/start", timeout_s=_ANSWER_TIMEOUT_S * patience + longest_lead_s / factor)
         client.wait(
             lambda: client.sequence.get("state") not in (None, "loading", "ready"),
-            30.0,
+            _ANSWER_TIMEOUT_S * patience + longest_lead_s / factor,
             "the sequence did not start",
             "hub/sequence_state says how far it came",
         )
         client.wait(
             lambda: client.sequence["state"] != "running",
-            length_s + 30.0,
+            duration_s / factor + _ANSWER_TIMEOUT_S * patience,
             "the sequence did not end",
             "look at hub/sequence_state",
             lambda elapsed_s: stage.update(elapsed_s, _live(client)),

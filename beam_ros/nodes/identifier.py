@@ -6,20 +6,12 @@ The fit takes seconds, so it runs in a thread of its own; the executor keeps ans
 from __future__ import annotations
 
 import threading
-from collections.abc import Sequence
-from dataclasses import replace
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from beam_ros import messages
 from beam_ros.errors import faults_of_the_user
 from beam_ros.interfaces.rig_parameters import IdentifierSettings
-from beam_ros.process.remote_paths import AnyPath
 from beam_ros.shell.node import RigNode, run_node
-
-if TYPE_CHECKING:
-    from beam_ident.report.gates import Gate
-    from beam_ros.offline.loading.options import FitOptions
 
 _COLLECT_S = 0.1
 
@@ -27,8 +19,8 @@ _COLLECT_S = 0.1
 class Identifier(RigNode):
     """Identifies one bag at a time."""
 
-    def __init__(self) -> None:
-        super().__init__("identifier")
+    def __init__(self, **options: Any) -> None:
+        super().__init__("identifier", **options)
         self._result = self.offer("identification/result")
         self._thread: threading.Thread | None = None
         self._outcome: dict[str, Any] | None = None
@@ -50,22 +42,11 @@ class Identifier(RigNode):
         return response
 
     def _identify(self, settings: IdentifierSettings) -> None:
-        if not settings.report:
-            first = Path(settings.bag.partition(";")[0].strip())
-            settings = replace(settings, report=str(first.with_name(f"{first.name}_identified")))
         try:
             # The estimators take more than a second to load: the node is there, and complains, before.
-            from beam_ros.checks.bag_check import BagCheck, check_bag
-            from beam_ros.reporting.identification import identify_told
+            from beam_ros.launching.checked_identification import identify_checked
 
-            checks: list[BagCheck] = []
-
-            def check(path: AnyPath, options: FitOptions) -> Sequence[Gate]:
-                checks.append(check_bag(path, None, options))
-                return checks[-1].gates
-
-            outcome = identify_told(settings, progress=self._on_progress, checked=check)
-            self._outcome = {**outcome, "checks": [own.to_dict() for own in checks]}
+            self._outcome = identify_checked(settings, self._on_progress)
         except faults_of_the_user() as err:
             self._outcome = {"bag": settings.bag, "error": str(err)}
         except Exception as err:
