@@ -10,6 +10,7 @@ from collections.abc import Callable
 from typing import Any
 
 import rclpy
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
@@ -48,6 +49,9 @@ class RigClient:
         """Join the graph; see the attributes for ``check``."""
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
         self._node = Node("experimenter", namespace=namespace)
+        # One for all: rclpy.spin_once puts together anew, for every message, what can be waited for.
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(self._node)
         self._types = RosTypes()
         self.check = check
         self.displacement: dict[str, float] = {}
@@ -119,7 +123,7 @@ class RigClient:
         """
         end = time.monotonic() + _LOOK_ROUND_S
         while time.monotonic() < end:
-            rclpy.spin_once(self._node, timeout_sec=_SPIN_S)
+            self._executor.spin_once(timeout_sec=_SPIN_S)
         if ("hub", self._node.get_namespace()) in self._node.get_node_names_and_namespaces():
             raise RigUnavailableError(
                 f"a hub is already on this graph ({self.reach()}): two would act on every command; end the other "
@@ -168,7 +172,7 @@ class RigClient:
                 raise RigUnavailableError(f"{what} within {timeout_s:g} s; {remedy}")
             self.check()
             on_tick(elapsed)
-            rclpy.spin_once(self._node, timeout_sec=_SPIN_S)
+            self._executor.spin_once(timeout_sec=_SPIN_S)
 
     def call(self, service: str, *, value: bool | None = None, timeout_s: float = 15.0) -> str:
         """Call a service of the table and return its message.
@@ -232,5 +236,6 @@ class RigClient:
         return self
 
     def __exit__(self, *raised: object) -> None:
+        self._executor.shutdown(timeout_sec=0.0)
         self._node.destroy_node()
         rclpy.try_shutdown()
