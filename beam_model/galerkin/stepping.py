@@ -23,6 +23,7 @@ from beam_model.parameters import check_number
 # Terms of the exponential's series and the largest |A| tau for it: 3^28/28! is below rounding.
 _SERIES_TERMS = 28
 _SERIES_REACH = 3.0
+_SERIES_POWERS = np.arange(_SERIES_TERMS)
 _BLOCK = 16  # ticks
 _GROUP, _FEW_STATES = 64, 4  # blocks in a group, where no more states than this depend on each other
 _COMPILED_FROM = 20_000  # ticks: fewer are done before a compiled loop is loaded
@@ -94,6 +95,19 @@ def _independent(transition: FloatArray) -> list[IndexArray]:
     return [np.flatnonzero(which == own) for own in range(n_sets)]
 
 
+def _series_of_tick(A: FloatArray, B: FloatArray, period: float) -> FloatArray:
+    """Return the terms of exp(A T) and of the held input's effect, shape (terms, n^2 + n)."""
+    n = B.size
+    terms = np.zeros((_SERIES_TERMS, n * n + n))
+    power = np.eye(n)
+    terms[0, : n * n] = power.ravel()
+    for k in range(1, _SERIES_TERMS):
+        terms[k, n * n :] = power @ B * (period / k)
+        power = power @ A * (period / k)
+        terms[k, : n * n] = power.ravel()
+    return terms
+
+
 class LinearStepper:
     """A linear system under a held input, stepped exactly.
 
@@ -115,6 +129,7 @@ class LinearStepper:
         self._scratch = np.zeros(B.size)
         scaled = A * scale[:, None] / scale[None, :]
         self._rate = float(np.linalg.norm(scaled, 2))
+        self._of_tick: FloatArray | None = None
 
     @property
     def tick_matrices(self) -> tuple[FloatArray, FloatArray]:
@@ -154,6 +169,16 @@ class LinearStepper:
     def _state_at(self, tau: float, value: float, slope: float = 0.0) -> FloatArray:
         return self.propagate(self._full_state, tau, value, slope)
 
+    def _propagate_inside_tick(self, start: FloatArray, tau: float, value: float) -> FloatArray:
+        """Sum the series of ``propagate`` at once: its matrices are known for a whole tick."""
+        if self._of_tick is None:
+            self._of_tick = _series_of_tick(self._A, self._B, self.period)
+        ratios = (tau / self.period) ** _SERIES_POWERS
+        # The k-th row is (A T)^k / k!, flat, and (A T)^(k-1) T B / k!, for the tick T.
+        of_both = ratios @ self._of_tick
+        n = start.size
+        return np.asarray(of_both[: n * n].reshape(n, n) @ start + of_both[n * n :] * value)
+
     def propagate(self, start: FloatArray, tau: float, value: float, slope: float = 0.0) -> FloatArray:
         """Return where a state stands after ``tau`` under the input value + slope t, shape (n,).
 
@@ -168,6 +193,8 @@ class LinearStepper:
         """
         if tau == self.period and slope == 0.0:
             return np.asarray(self._transition @ start + self._held * value)
+        if slope == 0.0 and abs(tau) <= self.period and self._rate * self.period <= _SERIES_REACH:
+            return self._propagate_inside_tick(start, tau, value)
         # A long way is cut so that the series' terms do not grow before they fall.
         n_pieces = max(1, int(np.ceil(self._rate * abs(tau) / _SERIES_REACH)))
         h = tau / n_pieces
