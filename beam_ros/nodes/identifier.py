@@ -5,6 +5,7 @@ The fit takes seconds, so it runs in a thread of its own; the executor keeps ans
 
 from __future__ import annotations
 
+import contextlib
 import threading
 from typing import Any
 
@@ -14,6 +15,8 @@ from beam_ros.interfaces.rig_parameters import IdentifierSettings
 from beam_ros.shell.node import RigNode, run_node
 
 _COLLECT_S = 0.1
+_LOAD_AFTER_S = 5.0
+"""The nodes of a rig start together; after that the estimators are loaded, before they are asked for [s]."""
 
 
 class Identifier(RigNode):
@@ -27,6 +30,13 @@ class Identifier(RigNode):
         self._phrase = "ready"
         self.serve("identifier/identify", self._on_identify)
         self.create_timer(_COLLECT_S, self._collect)
+        self._first_idle = self.create_timer(_LOAD_AFTER_S, self._load)
+
+    def _load(self) -> None:
+        """Load the estimators in the background, once, which takes seconds that nobody then waits for."""
+        self._first_idle.cancel()
+        estimator = self.rig.identifier.estimator
+        threading.Thread(target=_load_identification, args=(estimator,), name="load", daemon=True).start()
 
     def _on_identify(self, _request: Any, response: Any) -> Any:
         settings = self.rig.identifier
@@ -67,6 +77,15 @@ class Identifier(RigNode):
     def health(self) -> tuple[str, str, dict[str, object]]:
         """Report what the fit is doing."""
         return "OK", self._phrase, {}
+
+
+def _load_identification(estimator: str) -> None:
+    from beam_ident import find_estimator
+    from beam_ros.launching import checked_identification  # noqa: F401
+
+    # Whoever asks for a fit by a name that nobody has is told then.
+    with contextlib.suppress(*faults_of_the_user()):
+        find_estimator(estimator)
 
 
 def main(argv: list[str] | None = None) -> int:
