@@ -19,6 +19,8 @@ from beam_ros.vision.rendering.frames import SceneRenderer
 TURN_S = 0.04
 """Frames of so long a time are drawn before the node turns to what else waits [s]: a node that is behind catches up
 in many turns, and one that is polled every 10 ms still does."""
+BEHIND_S = 0.02
+"""A turn that took longer than two polls of the hub [s]: the film gives way, for what it lacks is only frames."""
 MAX_LAG_S = 0.1
 """So far a simulation may be behind real time before it says so [s]: ten polls of the hub."""
 
@@ -54,7 +56,7 @@ class SimulatedCamera:
         self._preset = rig.simulation.preset
         self._published = 0
         self._frames_per_turn = math.ceil(TURN_S * self._film.camera.rate_hz)
-        self._worst_lag_s = 0.0
+        self._lag_s = self._worst_lag_s = 0.0
         if with_images:
             self._renderer = SceneRenderer(
                 self._film.camera,
@@ -94,12 +96,15 @@ class SimulatedCamera:
 
     def publish_until(self, reached_ns: int) -> None:
         """Publish exposures that have ended by ``reached_ns`` [ns, UNIX]; commands wait for a few, not for all."""
-        for exposure in islice(self._film.due(reached_ns), self._frames_per_turn):
+        is_behind = self._lag_s > BEHIND_S
+        n_frames = max(1, self._frames_per_turn // 4) if is_behind else self._frames_per_turn
+        for exposure in islice(self._film.due(reached_ns), n_frames):
             self._show(exposure)
             self._published += 1
 
     def note_lag(self, lag_s: float) -> None:
         """Note how far the plant now is behind real time [s]."""
+        self._lag_s = lag_s
         self._worst_lag_s = max(self._worst_lag_s, lag_s)
 
     def _show_frame(self, exposure: Exposure) -> None:
