@@ -5,6 +5,10 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 
+_NEAR = 0.65
+"""Share of two names that must be the same, in the same order, for one to be a slip of the other: of four letters
+one may be wrong, of eight two."""
+
 
 class RigError(Exception):
     """Base of the suite's own errors; a command-line verb turns it into one line and exit status 2."""
@@ -39,8 +43,20 @@ def faults_of_the_user() -> tuple[type[Exception], ...]:
 
 
 def likeliest(name: str, known: Iterable[str]) -> str:
-    """Return the known name that a misspelt one most likely means; empty where none is near."""
-    near = difflib.get_close_matches(name, list(known), n=1, cutoff=0.5)
+    """Return the known name that a misspelt one most likely means; empty where none is near.
+
+    What two dotted names have in common by standing in one group makes them no nearer.
+    """
+    names = list(known)
+    group, dot, leaf = name.rpartition(".")
+    of_group = {other[len(group) + 1 :]: other for other in names if dot and other.startswith(f"{group}.")}
+    near = difflib.get_close_matches(leaf, list(of_group), n=1, cutoff=_NEAR)
+    if near:
+        return of_group[near[0]]
+    elsewhere = [other for other in names if dot and other.endswith(f".{leaf}")]
+    if elsewhere or of_group:
+        return elsewhere[0] if elsewhere else ""
+    near = difflib.get_close_matches(name, names, n=1, cutoff=_NEAR)
     return near[0] if near else ""
 
 
