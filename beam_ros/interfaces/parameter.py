@@ -54,6 +54,15 @@ class Parameter:
     is_live: bool
     within: tuple[str, float] | None
 
+    def meaning(self) -> str:
+        """Say what it is, with its unit and what limits it."""
+        unit = f" [{self.unit}]" if self.unit else ""
+        if self.within is None:
+            return f"{self.description}{unit}"
+        limiting, share = self.within
+        part = "" if share == 1.0 else f"{share:g} times "
+        return f"{self.description}{unit}; limited by {part}{limiting}"
+
     def expectation(self) -> str:
         """Say in words which values are allowed."""
         if self.choices:

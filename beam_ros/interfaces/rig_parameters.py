@@ -29,25 +29,39 @@ class BeamSettings:
     thickness: float = setting("thickness in the direction of motion", "m", 1e-5, 0.05)
     density: float = setting("density of the strip", "kg/m^3", 10.0, 25000.0)
     youngs_modulus: float = setting("Young's modulus of the strip", "Pa", 1e6, 2e12)
-    flexural_rigidity: float = setting("EI; 0: E I from the section", "N m^2", 0.0, 1e6)
-    mass_per_length: float = setting("rho; 0: from section and density", "kg/m", 0.0, 1e3)
-    theory: Literal["euler-bernoulli", "timoshenko"] = setting(
-        "of bending; timoshenko: with rotation and shear"
+    flexural_rigidity: float = setting(
+        "flexural rigidity EI; 0: from youngs_modulus and the section", "N m^2", 0.0, 1e6
     )
-    poissons_ratio: float = setting("of the strip, for its shear", "1", 0.0, 0.5)
-    shear_coefficient: float = setting("of the section; 0: that of a rectangle", "1", 0.0, 1.0)
+    mass_per_length: float = setting(
+        "mass of the strip per length; 0: from section and density", "kg/m", 0.0, 1e3
+    )
+    theory: Literal["euler-bernoulli", "timoshenko"] = setting(
+        "theory of bending; timoshenko: with rotary inertia and shear"
+    )
+    poissons_ratio: float = setting("Poisson's ratio of the strip, for its shear", "1", 0.0, 0.5)
+    shear_coefficient: float = setting(
+        "shear coefficient of the section; 0: that of a rectangle", "1", 0.0, 1.0
+    )
     gravity: Literal["off", "upright", "hanging"] = setting("how the beam stands")
     tip_mass: float = setting("mass at the tip", "kg", 0.0, 10.0)
     tip_inertia: float = setting("rotary inertia of the tip mass", "kg m^2", 0.0, 1.0)
     clamp_stiffness: float = setting("rotary stiffness of the clamp; 0: rigid", "N m/rad", 0.0, 1e9)
-    damping_ratios: tuple[float, ...] = setting("of the clamped modes; the last holds above", "1", 0.0, 0.5)
-    viscous_damping: float = setting("per length, relative to the hub", "N s/m^2", 0.0, 1e3)
-    air_damping: float = setting("per length, on the absolute motion", "N s/m^2", 0.0, 1e3)
-    internal_damping: float = setting("Kelvin-Voigt time constant", "s", 0.0, 1.0)
+    damping_ratios: tuple[float, ...] = setting(
+        "damping ratios of the clamped modes; the last one holds for all above", "1", 0.0, 0.5
+    )
+    viscous_damping: float = setting(
+        "viscous damping per length, of the beam's motion relative to the hub", "N s/m^2", 0.0, 1e3
+    )
+    air_damping: float = setting(
+        "viscous damping per length, of the beam's motion in the room", "N s/m^2", 0.0, 1e3
+    )
+    internal_damping: float = setting("time constant of the Kelvin-Voigt damping in the strip", "s", 0.0, 1.0)
     still_air: bool = setting("added mass and viscous damping of the air, by Sader's theory")
-    air_temperature: float = setting("of that air", "K", 200.0, 400.0)
-    air_pressure: float = setting("of that air", "Pa", 1.0, 1e6)
-    max_root_strain: float = setting("predicted bending strain that is refused", "1", 1e-6, 0.1)
+    air_temperature: float = setting("temperature of the air of still_air", "K", 200.0, 400.0)
+    air_pressure: float = setting("pressure of the air of still_air", "Pa", 1.0, 1e6)
+    max_root_strain: float = setting(
+        "bending strain at the clamp; a command that is predicted to exceed it is refused", "1", 1e-6, 0.1
+    )
     modes: int = setting("modes that the simulator integrates; 0: what the first five need", "", 0, 20)
 
 
@@ -67,30 +81,38 @@ class HubSettings:
     """The axis, what it may do, and what the beam on it may bear."""
 
     mass: float = setting("moving mass of the hub", "kg", 0.001, 1e3)
-    travel: float = setting("from stop to stop; home is in the middle", "m", 0.001, 10.0)
+    travel: float = setting("way of the hub from stop to stop; home is in the middle", "m", 0.001, 10.0)
     max_speed: float = setting("limit of the hub's speed", "m/s", 0.001, 20.0)
     max_acceleration: float = setting("limit of the hub's acceleration", "m/s^2", 0.01, 1e3)
-    stop_deceleration: float = setting("of every stop; 0: max_acceleration", "m/s^2", 0.0, 1e3)
+    stop_deceleration: float = setting("deceleration of every stop; 0: max_acceleration", "m/s^2", 0.0, 1e3)
     max_effort: float = setting("limit of the force on the hub", "N", 0.01, 1e4)
-    max_following_error: float = setting("from the hub to where its commands lead it", "m", 1e-6, 1.0)
-    max_tip_deflection: float = setting("predicted tip deflection that is refused", "m", 1e-5, 1.0)
+    max_following_error: float = setting(
+        "largest distance from the hub to where its commands lead it", "m", 1e-6, 1.0
+    )
+    max_tip_deflection: float = setting(
+        "deflection of the tip; a command that is predicted to exceed it is refused", "m", 1e-5, 1.0
+    )
     encoder_resolution: float = setting("step of the measured position", "m", 1e-12, 0.001)
     command_mode: Literal["acceleration", "velocity", "position", "effort"] = setting(
         "what a set-point or sequence means"
     )
-    applied_hold: Literal["zoh", "linear", "cubic"] = setting("between ticks, of the command")
-    measured_hold: Literal["linear", "cubic"] = setting("between ticks, of the position")
-    period: float = setting("tick of the device", "s", 0.0001, 0.1)
+    applied_hold: Literal["zoh", "linear", "cubic"] = setting("how the applied command runs between ticks")
+    measured_hold: Literal["linear", "cubic"] = setting("how the measured position runs between ticks")
+    period: float = setting("length of a tick of the device", "s", 0.0001, 0.1)
     watchdog: float = setting("silence until the device stops by itself", "s", 0.05, 4.0)
     homing_speed: float = setting("speed while homing", "m/s", 0.001, 1.0, within=("hub.max_speed", 1.0))
     homing_acceleration: float = setting(
-        "while homing", "m/s^2", 0.001, 1e3, within=("hub.max_acceleration", 1.0)
+        "acceleration while homing", "m/s^2", 0.001, 1e3, within=("hub.max_acceleration", 1.0)
     )
     move_speed: float = setting(
-        "of the move to a position set-point", "m/s", 0.001, 20.0, within=("hub.max_speed", 1.0)
+        "speed of the move to a position set-point", "m/s", 0.001, 20.0, within=("hub.max_speed", 1.0)
     )
     move_acceleration: float = setting(
-        "of the move to a position set-point", "m/s^2", 0.001, 1e3, within=("hub.max_acceleration", 1.0)
+        "acceleration of the move to a position set-point",
+        "m/s^2",
+        0.001,
+        1e3,
+        within=("hub.max_acceleration", 1.0),
     )
 
 
@@ -129,7 +151,7 @@ class SerialSettings:
 
     port: str = setting("device or URL of the motion controller")
     baud: int = setting("line speed", "baud", 1200, 12_000_000)
-    patience: float = setting("a port that is not there is no fault before", "s", 0.0, 60.0)
+    patience: float = setting("time that a missing port is waited for before it is a fault", "s", 0.0, 60.0)
 
 
 @dataclass(frozen=True)
@@ -153,13 +175,13 @@ class OdriveSettings:
 class CsvSettings:
     """What the lines of a board mean, for axis.kind csv; columns are counted from 1, 0: there is none."""
 
-    position_column: int = setting("of the position, in units of axis.metres_per_unit", "", 1, 100)
-    velocity_column: int = setting("of the velocity, in the same units a second", "", 0, 100)
-    effort_column: int = setting("of the force on the hub", "", 0, 100)
+    position_column: int = setting("column of the position, in units of axis.metres_per_unit", "", 1, 100)
+    velocity_column: int = setting("column of the velocity, in the same units a second", "", 0, 100)
+    effort_column: int = setting("column of the force on the hub", "", 0, 100)
     effort_scale: float = setting("force for one unit of that column", "N", -1e6, 1e6)
-    clock_column: int = setting("of the board's clock", "", 0, 100)
+    clock_column: int = setting("column of the board's clock", "", 0, 100)
     clock_tick: float = setting("one unit of that clock", "s", 1e-9, 1.0)
-    clock_bits: int = setting("of the clock's counter, after which it wraps; 0: never", "", 0, 64)
+    clock_bits: int = setting("bits of the clock's counter, after which it wraps; 0: never", "", 0, 64)
 
 
 @dataclass(frozen=True)
@@ -191,8 +213,10 @@ class CameraSettings:
     height: int = setting("rows of a frame", "px", 16, 16_384)
     rate: float = setting("frames a second", "Hz", 0.1, 1e4)
     exposure: float = setting("exposure time", "s", 0.0, 1.0)
-    readout: float = setting("first to last row; 0: global shutter", "s", 0.0, 0.1)
-    stamp: Literal["start", "mid", "end", "arrival"] = setting("what a stamp means")
+    readout: float = setting(
+        "time from the first row of a frame to its last; 0: global shutter", "s", 0.0, 0.1
+    )
+    stamp: Literal["start", "mid", "end", "arrival"] = setting("which instant of the exposure a stamp means")
     latency: float = setting("known delay of the stamps", "s", -1.0, 1.0)
     clock_tolerance: float = setting(
         "rate of its clock, relative to the host's; 0: the host stamps", "", 0.0, 0.01
@@ -216,50 +240,53 @@ class CameraSettings:
 class TrackerSettings:
     """Where frames come from, and how markers are found in them."""
 
-    polarity: Literal["bright", "dark"] = setting("markers against ground")
+    polarity: Literal["bright", "dark"] = setting("markers brighter or darker than the ground")
     source: str = setting(
         "where frames come from: topic, device, file, compressed, or a kind that a package adds"
     )
     device: str = setting("path, number or address of the camera, where the tracker reads it")
     device_format: str = setting("four characters such as GREY, YUYV, MJPG; empty: the driver's choice")
     sets_exposure: bool = setting("set the device to camera.exposure")
-    retry_period: float = setting("until a device that failed is opened again", "s", 0.05, 60.0)
+    retry_period: float = setting("time until a device that failed is opened again", "s", 0.05, 60.0)
     video: str = setting("video file, for source file")
-    video_rate: float = setting("of the video; 0: as the file says", "Hz", 0.0, 1e6)
+    video_rate: float = setting("frame rate of the video; 0: as the file says", "Hz", 0.0, 1e6)
     refinement: Literal["none", "radial_symmetry", "disc_model"] = setting(
-        "what is made of the centre of gravity"
+        "how a marker's position is refined from its centre of gravity"
     )
     prediction: Literal["none", "beam"] = setting(
         "what foretells the markers' places beside their own motion: nothing, or hub/state and the beam's model"
     )
     sigma_floor: float = setting(
-        "of a position: what the dots show at rest; 0: perfect discs", "px", 0.0, 10.0
+        "least standard deviation of a position, as the dots show it at rest; 0: perfect discs",
+        "px",
+        0.0,
+        10.0,
     )
     noise_variance: float = setting(
-        "of a pixel at level 0, as `beam calibrate camera-noise` finds it; with noise_per_grey 0: the frames tell",
+        "variance of a pixel at level 0, of `beam calibrate camera-noise`; with noise_per_grey 0: the frames tell",
         "grey levels^2",
         -1e6,
         1e6,
     )
-    noise_per_grey: float = setting("growth of that variance with the level", "grey levels", 0.0, 1e4)
-    min_contrast: float = setting("below which nothing is a marker", "grey levels", 1.0, 65535.0)
+    noise_per_grey: float = setting("growth of noise_variance with the level", "grey levels", 0.0, 1e4)
+    min_contrast: float = setting("contrast below which nothing is a marker", "grey levels", 1.0, 65535.0)
     aspect: float = setting(
         "width over height of a marker's image: 1 head-on, 0.8 at 37 degrees", "", 0.5, 2.0
     )
     shape_tolerance: float = setting(
-        "by which a marker may differ from a disc, and from itself", "", 0.01, 0.9
+        "share by which a marker may differ from a disc, and from itself", "", 0.01, 0.9
     )
     brightness_tolerance: float = setting(
-        "of one marker's brightness, where the others keep theirs", "", 0.01, 0.9
+        "share by which one marker's brightness may change where the others keep theirs", "", 0.01, 0.9
     )
-    level_fraction: float = setting("of the contrast, below which all counts as ground", "", 0.02, 0.6)
+    level_fraction: float = setting("share of the contrast below which all counts as ground", "", 0.02, 0.6)
     max_jump: float = setting(
         "farthest from its prediction that a marker is believed by itself", "m", 1e-5, 1.0
     )
     row_gate: float = setting("farthest that a frame takes a marker across the rows", "m", 1e-5, 1.0)
-    row_tolerance: float = setting("of the rows in which markers are expected", "m", 1e-5, 1.0)
-    averaged_frames: int = live("of a tare or a calibration point", "", 2, 100_000)
-    drawing_rate: float = live("of beam/shape and tracker/debug_image", "Hz", 0.1, 1e3)
+    row_tolerance: float = setting("tolerance of the rows in which markers are expected", "m", 1e-5, 1.0)
+    averaged_frames: int = live("frames averaged for a tare or a calibration point", "", 2, 100_000)
+    drawing_rate: float = live("largest rate of beam/shape and tracker/debug_image", "Hz", 0.1, 1e3)
     calibration: str = setting("calibration file; empty: the nominal scale")
     save_calibration: str = live("file for tracker/fit_calibration to write")
 
@@ -269,19 +296,21 @@ class SimulationSettings:
     """What a simulation adds or leaves out."""
 
     images: bool = setting("film the beam; else displacements are published directly")
-    displacement_noise: float = setting("standard deviation without images", "m", 0.0, 0.01)
+    displacement_noise: float = setting(
+        "standard deviation of the displacements without images", "m", 0.0, 0.01
+    )
     preset: Literal["ideal", "realistic"] = setting("values of all keys below that are not given themselves")
     drag_coefficient: float = setting("C_d of the strip in air; 0: no drag", "1", 0.0, 100.0)
     large_deflections: bool = setting("cubic inertia, curvature and weight of the bent beam")
     friction_coulomb: float = setting("dry friction of the hub's guide", "N", 0.0, 1e3)
     friction_static: float = setting("force that breaks the hub loose; 0: Coulomb's", "N", 0.0, 1e3)
-    friction_viscous: float = setting("of the hub's guide", "N s/m", 0.0, 1e4)
+    friction_viscous: float = setting("viscous friction of the hub's guide", "N s/m", 0.0, 1e4)
     friction_coulomb_difference: float = setting("dry friction along +x less that along -x", "N", -2e3, 2e3)
     friction_viscous_difference: float = setting(
         "viscous friction along +x less along -x", "N s/m", -2e4, 2e4
     )
     servo_frequency: float = setting(
-        "of the servo on the moving mass; 0: an axis that follows exactly", "Hz", 0.0, 1e3
+        "natural frequency of the servo on the moving mass; 0: an axis that follows exactly", "Hz", 0.0, 1e3
     )
     servo_damping: float = setting("damping ratio of the servo", "1", 0.0, 5.0)
     backlash: float = setting("play between drive and hub", "m", 0.0, 0.001)
@@ -295,61 +324,93 @@ class SimulationSettings:
     )
     hub_clock_ppm: float = setting("clock of the simulated device against the host's", "ppm", -1e3, 1e3)
     camera_clock_ppm: float = setting("clock of the simulated camera against the host's", "ppm", -1e3, 1e3)
-    stamp_offset: float = setting("by which the frames' stamps are late, which nobody knows", "s", -2.0, 2.0)
+    stamp_offset: float = setting("delay of the frames' stamps, which nobody knows", "s", -2.0, 2.0)
     stamp_jitter: float = setting("standard deviation of the frames' stamps", "s", 0.0, 0.01)
     frame_drops: float = setting("share of the frames that get lost", "1", 0.0, 0.5)
     full_well: float = setting("electrons at grey level 255; 0: no shot noise", "", 0.0, 1e6)
     real_time_factor: float = setting("speed of simulated time", "1", 0.01, 20.0)
-    seed: int = setting("of all simulated noise", "", 0, 2**31 - 1)
+    seed: int = setting("seed of all simulated noise", "", 0, 2**31 - 1)
 
 
 @dataclass(frozen=True)
 class ExcitationSettings:
     """The signal that moves the hub; docs/excitation.md says what each kind reads."""
 
-    kind: str = live("signal", choices=tuple(RECIPES))
-    acceleration: float = live("amplitude", "m/s^2", 0.0001, 1e3, within=("hub.max_acceleration", 1.0))
-    max_displacement: float = live("amplitude at low frequency", "m", 1e-6, 5.0, within=("hub.travel", 0.5))
-    start_frequency: float = live("lowest frequency", "Hz", 0.001, 1e4)
-    end_frequency: float = live("highest frequency", "Hz", 0.001, 1e4)
-    duration: float = live("excitation", "s", 0.01, 3600.0)
-    still: float = live("still hub afterwards", "s", 0.0, 3600.0)
+    kind: str = live("signal that moves the hub", choices=tuple(RECIPES))
+    acceleration: float = live(
+        "amplitude of the chirp's acceleration, and of the other signals'",
+        "m/s^2",
+        0.0001,
+        1e3,
+        within=("hub.max_acceleration", 1.0),
+    )
+    max_displacement: float = live(
+        "amplitude of the displacement, which limits the signal at low frequency",
+        "m",
+        1e-6,
+        5.0,
+        within=("hub.travel", 0.5),
+    )
+    start_frequency: float = live("lowest frequency of the signal", "Hz", 0.001, 1e4)
+    end_frequency: float = live("highest frequency of the signal", "Hz", 0.001, 1e4)
+    duration: float = live("length of the excitation, without the still hub afterwards", "s", 0.01, 3600.0)
+    still: float = live("time that the hub stands still after the excitation", "s", 0.0, 3600.0)
     step_size: float = live("displacement of the step", "m", -1.0, 1.0, within=("hub.travel", 0.5))
-    rise_time: float = live("of the step", "s", 0.001, 60.0)
-    seed: int = live("of random phases, lines and noise", "", 0, 2**31 - 1)
-    max_velocity: float = live("amplitude; 0: no ceiling", "m/s", 0.0, 10.0, within=("hub.max_speed", 1.0))
-    max_jerk: float = live("refused above; 0: no limit", "m/s^3", 0.0, 1e9)
-    line_period: float = live("of the multisine; 0: near 10 s, a part of the duration", "s", 0.0, 3600.0)
-    lines: Literal["full", "odd", "random_odd"] = live("of the multisine")
+    rise_time: float = live("rise time of the step", "s", 0.001, 60.0)
+    seed: int = live("seed of random phases, lines and noise", "", 0, 2**31 - 1)
+    max_velocity: float = live(
+        "amplitude of the hub's velocity; 0: no ceiling", "m/s", 0.0, 10.0, within=("hub.max_speed", 1.0)
+    )
+    max_jerk: float = live("jerk above which the signal is refused; 0: no limit", "m/s^3", 0.0, 1e9)
+    line_period: float = live(
+        "period of the multisine; 0: near 10 s, a part of the duration", "s", 0.0, 3600.0
+    )
+    lines: Literal["full", "odd", "random_odd"] = live(
+        "which multiples of the lowest frequency the multisine has"
+    )
     detection_group: int = live("random_odd: one odd line left out of so many", "", 2, 100)
-    phases: Literal["random", "schroeder", "crest"] = live("of the multisine")
+    phases: Literal["random", "schroeder", "crest"] = live(
+        "how the phases of the multisine's lines are chosen"
+    )
     drive: Literal["acceleration", "velocity", "position"] = live(
         "quantity whose levels prbs, pulse and doublet set"
     )
     speed: float = live(
-        "level in velocity; largest of the moves", "m/s", 1e-6, 10.0, within=("hub.max_speed", 1.0)
+        "level of signals in velocity, and largest speed of the moves",
+        "m/s",
+        1e-6,
+        10.0,
+        within=("hub.max_speed", 1.0),
     )
-    edge_time: float = live("smooth edges of prbs, pulse, doublet", "s", 0.0, 60.0)
-    clock_period: float = live("of the prbs", "s", 1e-5, 60.0)
-    order: int = live("of the prbs: 2^order - 1 clocks", "", 3, 18)
+    edge_time: float = live("length of the smooth edges of prbs, pulse and doublet", "s", 0.0, 60.0)
+    clock_period: float = live("shortest time between two changes of the prbs", "s", 1e-5, 60.0)
+    order: int = live("order of the prbs: its period has 2^order - 1 clocks", "", 3, 18)
     inverse_repeat: bool = live("prbs: each period, then its negative")
-    high_pass: float = live("prbs: content taken out below this", "Hz", 0.0, 1e3)
-    width: float = live("of pulse and doublet", "s", 0.0001, 60.0)
-    gap: float = live("between pulses and doublets of a train", "s", 0.0, 60.0)
+    high_pass: float = live("frequency below which the content of the prbs is taken out", "Hz", 0.0, 1e3)
+    width: float = live("length of pulse and doublet", "s", 0.0001, 60.0)
+    gap: float = live("time between pulses and doublets of a train", "s", 0.0, 60.0)
     frequencies: tuple[float, ...] = live(
-        "of the stepped sine, in turn; of the shaped multisine, increasing", "Hz", 0.001, 1e4
+        "frequencies of the stepped sine, in turn, or of the shaped multisine, increasing", "Hz", 0.001, 1e4
     )
-    amplitudes: tuple[float, ...] = live("of the shaped multisine's lines, against each other", "", 1e-9, 1e9)
-    line_phases: tuple[float, ...] = live("of the shaped multisine's lines", "rad", -1e3, 1e3)
-    settle_cycles: float = live("of the stepped sine", "1", 0.0, 1e5)
-    measure_cycles: int = live("of the stepped sine", "", 1, 100_000)
+    amplitudes: tuple[float, ...] = live(
+        "amplitudes of the shaped multisine's lines, against each other", "", 1e-9, 1e9
+    )
+    line_phases: tuple[float, ...] = live("phases of the shaped multisine's lines", "rad", -1e3, 1e3)
+    settle_cycles: float = live(
+        "cycles of the stepped sine that are waited for at each frequency", "1", 0.0, 1e5
+    )
+    measure_cycles: int = live(
+        "cycles of the stepped sine that are measured at each frequency", "", 1, 100_000
+    )
     waypoints: tuple[float, ...] = live(
-        "of the moves; the last is 0", "m", -1.0, 1.0, within=("hub.travel", 0.5)
+        "way-points of the moves; the last is 0", "m", -1.0, 1.0, within=("hub.travel", 0.5)
     )
-    profile: Literal["bounded_jerk", "quintic", "cycloidal"] = live("of the moves")
-    jerk: float = live("largest of the moves", "m/s^3", 0.001, 1e6)
-    dwell: float = live("rest at every way-point", "s", 0.0, 3600.0)
-    start_delay: float = live("between handing over and starting", "s", 0.5, 60.0)
+    profile: Literal["bounded_jerk", "quintic", "cycloidal"] = live("how speed grows and falls in the moves")
+    jerk: float = live("largest jerk of the moves", "m/s^3", 0.001, 1e6)
+    dwell: float = live("time of rest at every way-point", "s", 0.0, 3600.0)
+    start_delay: float = live(
+        "time from handing a sequence over to its start; a busy computer needs longer", "s", 0.5, 60.0
+    )
 
 
 @dataclass(frozen=True)
@@ -359,9 +420,11 @@ class RecorderSettings:
     path: str = live("folder of the bag; empty: runs/<date>")
     images: bool = live("record camera frames too")
     start_at_launch: bool = setting("record from the node's start")
-    max_size: int = live("of a file of the bag, after which the next begins; 0: no limit", "MB", 0, 1_000_000)
+    max_size: int = live(
+        "size of a file of the bag, after which the next begins; 0: no limit", "MB", 0, 1_000_000
+    )
     max_duration: float = live(
-        "of a file of the bag, after which the next begins; 0: no limit", "s", 0.0, 1e6
+        "length of a file of the bag, after which the next begins; 0: no limit", "s", 0.0, 1e6
     )
     min_free: int = live("space on the disk below which the recording ends; 0: none", "MB", 0, 1_000_000_000)
     operator: str = live("who runs the experiment; empty: the user of the machine")
@@ -374,7 +437,7 @@ class PlayerSettings:
     bag: str = setting("folder of the bag")
     rate: float = setting("speed of the replay", "1", 0.01, 100.0)
     commands: bool = setting("also replay what moves an axis")
-    start: float = setting("of the replay, after the bag's first message", "s", 0.0, 1e6)
+    start: float = setting("where the replay begins, after the bag's first message", "s", 0.0, 1e6)
     loop: bool = setting("begin anew at the end, until it is ended")
     paused: bool = setting("stand still at first, for player/step and player/pause")
     clock: bool = setting("publish the bag's time on /clock")
@@ -398,13 +461,13 @@ class IdentifierSettings:
         "auto", "base_motion", "velocity", "acceleration", "force", "receptance", "mobility", "accelerance"
     ] = live("which model fits which input")
     without: str = live("terms left out of the model: residual, offset, ramp, free_response")
-    delay: str = live("by how much the outputs are late [s]: auto, free, 0.004, or 0.004+-0.001")
+    delay: str = live("delay of the outputs [s]: auto, free, 0.004, or 0.004+-0.001")
     clock: str = live("rate of the outputs' clock against the input's, less one: auto, free, 20e-6, 0+-50e-6")
     hold: Literal["auto", "zoh", "linear", "cubic", "band_limited"] = live(
         "what the input does between samples; auto: as the rig or the signal says"
     )
     noise: Literal["auto", "white", "modelled"] = live(
-        "of transfer functions: as it is, as if white, or coloured"
+        "noise of transfer functions: as it is, as if white, or coloured"
     )
     segments: str = live("parts of each bag that are used [s from its first sample], 0:10,12:20; empty: all")
     amplitude: bool = live(

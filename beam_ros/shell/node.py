@@ -98,10 +98,9 @@ def qos_profile(qos: graph.QualityOfService) -> QoSProfile:
 
 
 def _descriptor(parameter: Parameter) -> ParameterDescriptor:
-    unit = f" [{parameter.unit}]" if parameter.unit else ""
     descriptor = ParameterDescriptor(
         name=parameter.name,
-        description=f"{parameter.description}{unit}",
+        description=parameter.meaning(),
         additional_constraints=parameter.expectation(),
         read_only=not parameter.is_live,
     )

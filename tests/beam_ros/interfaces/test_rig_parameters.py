@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from beam_ros.errors import ParameterFileError
+from beam_ros.errors import ParameterFileError, likeliest
 from beam_ros.interfaces.parameter_files import packaged_defaults
 from beam_ros.interfaces.rig_parameters import RIG_PARAMETERS, check_parameters, check_relations
 from beam_ros.rig.rig import Rig
@@ -128,3 +128,32 @@ def test_every_range_takes_its_ends_and_its_default_and_refuses_what_lies_beyond
             with pytest.raises(ParameterFileError, match=re.escape(row.expectation())):
                 check_parameters({row.name: [outside] if get_origin(row.kind) else outside})
         check_parameters({row.name: defaults[row.name]})
+
+
+PREPOSITIONS = {"of", "from", "while", "between", "below", "above", "per", "by", "until", "on", "in", "for"}
+
+
+def test_every_description_names_a_thing_and_says_what_limits_it() -> None:
+    """Read alone, in `ros2 param describe`, "of the multisine" says nothing."""
+    for parameter in RIG_PARAMETERS.values():
+        assert parameter.description.split()[0] not in PREPOSITIONS, parameter.name
+        assert not parameter.unit or f"[{parameter.unit}]" in parameter.meaning(), parameter.name
+    assert RIG_PARAMETERS["excitation.acceleration"].meaning().endswith("; limited by hub.max_acceleration")
+    assert RIG_PARAMETERS["excitation.step_size"].meaning().endswith("; limited by 0.5 times hub.travel")
+
+
+@pytest.mark.parametrize(
+    ("name", "meant"),
+    [
+        ("excitation.amplitude", "excitation.amplitudes"),
+        ("hub.travle", "hub.travel"),
+        ("hub.exposure", "camera.exposure"),
+        ("excitation.xyz", ""),
+        ("hub.colour", ""),
+        ("nonsense", ""),
+    ],
+)
+def test_a_name_is_suggested_where_one_is_near_and_none_where_only_the_group_is(
+    name: str, meant: str
+) -> None:
+    assert likeliest(name, RIG_PARAMETERS) == meant
