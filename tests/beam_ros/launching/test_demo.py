@@ -15,8 +15,10 @@ import pytest
 
 from beam_ros.bags.reading import Bag
 from beam_ros.bags.summary import summarise
+from beam_ros.cli.main import main
 from beam_ros.errors import RigUnavailableError
 from beam_ros.interfaces.graph import TOPICS
+from beam_ros.launching import demo as demo_of_rig
 from beam_ros.launching.processes import NodeGroup, PrivateDomain, stay_on_this_machine
 from beam_ros.messages import BagTypes
 from tests.whole_bags import messages_of_whole_bag
@@ -33,19 +35,30 @@ SHORT = (
 )
 
 
+GUARD_S = 900.0
+"""A busy computer takes two attempts and the simulator's core: this ends one that hangs [s]."""
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("rig", ["simulated", "emulated"])
 def test_the_demo_identifies_the_simulated_beam(executables, tmp_path: Path, rig: str) -> None:
-    demo = executables.run("beam", "demo", "--rig", rig, "--out", "run", "--json", *SHORT, timeout_s=100.0)
-    assert demo.process.returncode == 0, demo.output()
+    """By its nodes, or, where this computer is too busy for them, by the core; and it says which."""
+    demo = executables.run("beam", "demo", "--rig", rig, "--out", "run", "--json", *SHORT, timeout_s=GUARD_S)
     output = demo.output()
     result = json.loads(output[output.index("{\n") :])
+    is_by_nodes = result["made_by"] == "nodes"
+    assert demo.process.returncode == (0 if is_by_nodes else 1), output
+    assert is_by_nodes or result["failed_attempts"], output
     first, second = result["modes"][:2]
     assert first["frequency_hz"] == pytest.approx(first["theory_frequency_hz"], rel=3e-3)
     assert second["frequency_hz"] == pytest.approx(second["theory_frequency_hz"], rel=3e-3)
     run = tmp_path / "run"
-    written = {"bag", "figures", "logs", "model.json", "poles.csv", "report.html", "rig.yaml"}
-    assert written == {path.name for path in run.iterdir()}
-    _read_back(run / "bag")
+    written = {"bag", "figures", "model.json", "poles.csv", "report.html", "rig.yaml"}
+    logs = {"logs"} if is_by_nodes else set()
+    aside = {f"attempt-{number}" for number, _ in enumerate(result["failed_attempts"], start=1)}
+    assert written | logs | aside == {path.name for path in run.iterdir()}
+    if is_by_nodes:
+        _read_back(run / "bag")
 
 
 def _read_back(bag: Path) -> None:
@@ -70,10 +83,8 @@ def test_frames_that_a_busy_computer_loses_are_counted_and_explained(executables
     hogs = [
         subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(4 * (os.cpu_count() or 1))
     ]
-    # A sequence that is late is refused: it is given the time to reach the hub.
-    patient = ("-p", "excitation.start_delay:=5.0")
     try:
-        demo = executables.run("beam", "demo", "--out", "run", "--json", *SHORT, *patient, timeout_s=300.0)
+        demo = executables.run("beam", "demo", "--out", "run", "--json", *SHORT, timeout_s=GUARD_S)
     finally:
         for hog in hogs:
             hog.kill()
@@ -96,12 +107,35 @@ def test_frames_that_a_busy_computer_loses_are_counted_and_explained(executables
     assert any("because this computer fell behind" in message for message in said["hub"])
 
 
+def test_a_demo_whose_nodes_cannot_do_it_says_so_and_reports_what_the_core_did(
+    monkeypatch, capsys, tmp_path: Path
+) -> None:
+    """Every attempt is given its end: what comes of it does not depend on this computer."""
+    late = "its stamp is 0.202 s old; expected at most 0.2 s"
+
+    def fail(*_arguments: object, **_options: object) -> dict[str, object]:
+        (tmp_path / "run" / "logs").mkdir()
+        raise RigUnavailableError(late)
+
+    monkeypatch.setattr(demo_of_rig, "_with_nodes", fail)
+    status = main(["demo", "--out", str(tmp_path / "run"), *SHORT])
+    said = capsys.readouterr()
+    assert status == 1
+    assert said.err.count(late) == 2
+    assert said.err.count("nothing moved") == 2
+    assert "trying again" in said.err
+    assert "not shown: the nodes" in said.out
+    assert (tmp_path / "run" / "report.html").is_file()
+    assert [(tmp_path / "run" / f"attempt-{number}" / "logs").is_dir() for number in (1, 2)] == [True, True]
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupted_demo_ends_every_process(executables, number: signal.Signals) -> None:
     demo = executables.start("beam", "demo", "--out", "run", *SHORT)
-    demo.wait_for("home and enable", 40.0)
+    demo.wait_for("home and enable", GUARD_S)
     demo.send_signal(number)
-    assert demo.wait(15.0) == 130
+    assert demo.wait(60.0) == 130
     assert "Traceback" not in demo.output()
     assert "ended with status 0" in demo.output()
 
