@@ -15,6 +15,7 @@ from beam_ros.vision.measurement.measuring_chain import Measurement
 
 _PATIENCE_S = 5.0
 _PATIENCE_PERIODS = 3.0
+"""After so long without a frame no more is waited for; a busy computer loses some, and takes longer for the rest."""
 
 
 @dataclass
@@ -23,11 +24,13 @@ class FrameAverage:
 
     Attributes
     ----------
+    patience_s, deadline : float -- longest wait for the next frame, and when it ends, on the steady clock [s]
     columns, sigmas, across : list of list of float -- a row per frame, a column per marker: position along the hub's
         travel without the lens's distortion, its standard deviation, and position across the travel; NaN where a
         marker was not seen [px]
     """
 
+    patience_s: float
     deadline: float
     future: Future
     to_skip: int = WAITING_FRAMES
@@ -65,15 +68,14 @@ class FrameAveraging:
             They do not come.
         """
         wanted = self._node.rig.tracker.averaged_frames
-        due_s = (WAITING_FRAMES + wanted) / self._node.rig.camera.rate
-        patience_s = max(_PATIENCE_S, _PATIENCE_PERIODS * due_s)
-        average = FrameAverage(time.monotonic() + patience_s, Future())
+        patience_s = max(_PATIENCE_S, _PATIENCE_PERIODS / self._node.rig.camera.rate)
+        average = FrameAverage(patience_s, time.monotonic() + patience_s, Future())
         self._averages.append(average)
         await average.future
         if len(average.columns) < wanted:
             raise CalibrationError(
-                f"{len(average.columns)} frames in {patience_s:g} s; expected {wanted}: is a camera giving frames? "
-                "See /diagnostics"
+                f"{len(average.columns)} frames came, then none for {patience_s:g} s; expected {wanted}: is there a "
+                "camera? See /diagnostics"
             )
         return average
 
@@ -81,6 +83,7 @@ class FrameAveraging:
         """Hand a frame to those who wait."""
         wanted = self._node.rig.tracker.averaged_frames
         for average in list(self._averages):
+            average.deadline = time.monotonic() + average.patience_s
             if average.to_skip > 0:
                 average.to_skip -= 1
                 continue
