@@ -40,7 +40,7 @@ NOT_SHOWN = {
 
 _IDENTIFY_GUARD_S = 900.0
 """The fit has no real time to keep: this long it may take on a busy computer [s]."""
-_USUAL_IDENTIFY_S = 20.0
+_USUAL_IDENTIFY_S = 90.0
 _LONGEST_START_DELAY_S = 60.0
 
 

@@ -171,4 +171,4 @@ def _live(client: RigClient) -> str:
 def node_ends(statuses: Mapping[str, int]) -> str:
     """Say how nodes ended, by their exit statuses."""
     failed = [f"{name} ended with status {status}" for name, status in statuses.items() if status]
-    return ", ".join(failed) or f"{len(statuses)} nodes ended with status 0"
+    return ", ".join(failed) or f"{len(statuses)} node{'s' * (len(statuses) != 1)} ended with status 0"

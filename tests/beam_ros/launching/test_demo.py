@@ -107,6 +107,7 @@ def test_frames_that_a_busy_computer_loses_are_counted_and_explained(executables
     assert any("because this computer fell behind" in message for message in said["hub"])
 
 
+@pytest.mark.slow
 def test_a_demo_whose_nodes_cannot_do_it_says_so_and_reports_what_the_core_did(
     monkeypatch, capsys, tmp_path: Path
 ) -> None:

@@ -9,7 +9,6 @@ from importlib import import_module
 
 import pytest
 
-pytestmark = [pytest.mark.ros, pytest.mark.slow]
 pytest.importorskip("rclpy")
 pytest.importorskip("cv2")
 
@@ -23,6 +22,8 @@ from beam_ros.nodes.simulator import Simulator
 from beam_ros.nodes.vision_tracker import VisionTracker
 from beam_ros.process.executables import MODULES
 from beam_ros.shell.node import RigNode, qos_profile
+
+pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
 GUARD_S = 60.0
 
