@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from io import StringIO
 from pathlib import Path, PurePath
 from typing import Any
@@ -66,9 +67,20 @@ def qos_profiles(qos: tuple[QualityOfService, ...]) -> list[dict[str, Any]]:
 
 def parse_qos_profiles(profiles: Any) -> tuple[QualityOfService, ...] | None:
     """Return qualities of service from a recording, as YAML or its text; None where they cannot be understood."""
+    return _qos_of_text(profiles) if isinstance(profiles, str) else _qos_of(profiles)
+
+
+@lru_cache(maxsize=256)
+def _qos_of_text(text: str) -> tuple[QualityOfService, ...] | None:
+    """Return what one text says, which most topics of a bag have in common, and every reading of it again."""
     try:
-        if isinstance(profiles, str):
-            profiles = YAML(typ="safe").load(profiles)
+        return _qos_of(YAML(typ="safe").load(text))
+    except YAMLError:
+        return None
+
+
+def _qos_of(profiles: Any) -> tuple[QualityOfService, ...] | None:
+    try:
         # Names since metadata version 9, rmw's numbers before.
         qos = tuple(
             QualityOfService(
@@ -78,7 +90,7 @@ def parse_qos_profiles(profiles: Any) -> tuple[QualityOfService, ...] | None:
             )
             for item in profiles
         )
-    except (YAMLError, TypeError, KeyError, ValueError):
+    except (TypeError, KeyError, ValueError):
         return None
     return qos or None
 
