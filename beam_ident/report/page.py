@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from beam_ident.errors import ReportError
+from beam_ident.figures.canvas import plain_decades
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -381,6 +382,7 @@ def _svg(figure: Figure, alt: str) -> str:
     """Return a figure as SVG whose text is text, without a background, with its meaning for a screen reader."""
     from matplotlib import rc_context
 
+    plain_decades(figure)
     buffer = io.StringIO()
     settings = {"svg.hashsalt": "beam_ident", "svg.fonttype": "none", "path.simplify": True}
     with rc_context(settings):

@@ -12,7 +12,7 @@ pytest.importorskip("matplotlib")
 from beam_ident import EstimationError, LogChirp, estimate_transfer_function, figures, identify, validate
 from beam_ident.data.records import InputSignal, OutputSignal, TimeRecord
 from beam_ident.excitation import Prbs
-from beam_ident.figures.canvas import drawn
+from beam_ident.figures.canvas import axes_grid, drawn, plain_decades
 from beam_ident.responses.local_polynomial import local_polynomial_response
 from beam_ident.responses.spectral import welch_response
 from tests.beam_ident import rao_garnier
@@ -152,3 +152,13 @@ def test_the_zeros_of_a_modal_model_stand_beside_its_poles(modal):
     drawn_zeros = shown[0].get_xdata() + 1j * shown[0].get_ydata()
     assert len(drawn_zeros) >= 1
     assert all(np.min(np.abs(zeros - zero)) < 1e-9 * abs(zero) for zero in drawn_zeros)
+
+
+def test_decades_are_labelled_in_plain_text() -> None:
+    """The typeset `$10^{-3}$` costs a fifth of a report's time."""
+    figure, ((axis,),) = axes_grid(1, 1, (4.0, 3.0))
+    axis.loglog([1e-3, 1.0, 100.0], [1e-6, 1.0, 1e4])
+    plain_decades(figure)
+    axis.set_xlim(1e-3, 1e2)
+    assert axis.xaxis.get_major_formatter()(1e-3) == "10⁻³"
+    assert axis.yaxis.get_major_formatter()(1e4) == "10⁴"
