@@ -58,7 +58,7 @@ class Failure:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class DemoOutcome:
     """What came of it.
 
     Attributes
@@ -77,7 +77,7 @@ def persist(
     carry_out: Callable[[Attempt], dict[str, Any]],
     stand_in: Callable[[], dict[str, Any]],
     on_failure: Callable[[Failure, str], None],
-) -> Outcome:
+) -> DemoOutcome:
     """Try, try again with more patience, and at last do without.
 
     Parameters
@@ -94,7 +94,7 @@ def persist(
     for number, patience in enumerate(PATIENCE, start=1):
         attempt = Attempt(number, patience)
         try:
-            return Outcome(carry_out(attempt), tuple(failures))
+            return DemoOutcome(carry_out(attempt), tuple(failures))
         except RigUnavailableError as err:
             failures.append(Failure(attempt, str(err)))
             if isinstance(err, NodeFallenError) or number == len(PATIENCE):
@@ -103,4 +103,4 @@ def persist(
     on_failure(
         failures[-1], "making the same experiment with the core of `beam simulate`, which needs no real time"
     )
-    return Outcome(stand_in(), tuple(failures), is_by_nodes=False)
+    return DemoOutcome(stand_in(), tuple(failures), is_by_nodes=False)

@@ -17,7 +17,7 @@ from typing import Any
 from beam_ros.errors import RigUnavailableError
 from beam_ros.excitation.plan import plan_excitation
 from beam_ros.interfaces.graph import RigKind, emulated_port, nodes_of_rig
-from beam_ros.launching.attempts import Attempt, Failure, Outcome, persist
+from beam_ros.launching.attempts import Attempt, DemoOutcome, Failure, persist
 from beam_ros.launching.client import RigClient
 from beam_ros.launching.processes import (
     NodeGroup,
@@ -44,7 +44,7 @@ _USUAL_IDENTIFY_S = 90.0
 _LONGEST_START_DELAY_S = 60.0
 
 
-def conduct_demo(rig: Rig, kind: RigKind, folder: Path, *, record_images: bool = False) -> Outcome:
+def conduct_demo(rig: Rig, kind: RigKind, folder: Path, *, record_images: bool = False) -> DemoOutcome:
     """Run the experiment and return its outcome.
 
     Parameters
@@ -56,7 +56,7 @@ def conduct_demo(rig: Rig, kind: RigKind, folder: Path, *, record_images: bool =
 
     Returns
     -------
-    Outcome -- with what the identifier published on ``identification/result``, or what stands in for it
+    DemoOutcome -- with what the identifier published on ``identification/result``, or what stands in for it
 
     Raises
     ------
