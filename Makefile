@@ -4,7 +4,7 @@
 PYTHON ?= python3
 VENV ?= .venv
 ARGS ?=
-MATRIX ?= 3.10-newest 3.11-newest 3.12-oldest
+MATRIX ?= 3.10-newest 3.11-newest 3.12-oldest 3.14-newest
 
 # A worker takes a whole file, whose fixtures are made once.
 WORKERS = -n auto --dist loadfile
@@ -85,7 +85,7 @@ test-matrix: ## the tests on several Pythons, newest and oldest requirements (MA
 			-- python -m pytest $(WORKERS) $(ARGS) || failed="$$failed $$cell"; \
 	done; \
 	if [ -n "$$failed" ]; then echo "== failed:$$failed"; exit 1; fi; \
-	if [ -z "$$tried" ]; then echo "== none of $(MATRIX) could be tried; expected one Python of 3.10 to 3.13"; exit 2; fi; \
+	if [ -z "$$tried" ]; then echo "== none of $(MATRIX) could be tried; expected one Python of 3.10 to 3.14"; exit 2; fi; \
 	echo "== passed:$$tried"
 
 clean: ## remove what builds, tests and linters left; the environment and your runs stay

@@ -15,7 +15,7 @@ RIG = ["opencv-python-headless>=4.6", "pyserial>=3.5"]
 
 # ROS 2 Jazzy as wheels, pinned: later versions under these names are another distribution. They exist for
 # x86-64 Linux only; elsewhere, and where a ROS 2 is sourced, the machine's own is used.
-WHEELS = 'platform_system == "Linux" and platform_machine == "x86_64" and python_version < "3.14"'
+WHEELS = 'platform_system == "Linux" and platform_machine == "x86_64" and python_version < "3.15"'
 ROS = [*RIG, f"ros-rclpy[fastrtps]==7.1.6; {WHEELS}", f"ros-common-interfaces==5.3.6; {WHEELS}"]
 
 # Machine code for loops over long records and for the tracker's sums; the results are the same without.
@@ -105,7 +105,7 @@ def machine_code() -> list[Extension]:
     return found
 
 
-# colcon's scripts start with signals blocked, as those of bootstrap.py do, and the suite lets them in; pip makes its
+# colcon's scripts start with signals blocked, as those of the set-up do, and the suite lets them in; pip makes its
 # own first lines.
 BLOCKED = ["/usr/bin/env", "-S", "--block-signal=INT --block-signal=TERM"]
 CAN_BLOCK = sys.platform == "linux" and not subprocess.call([*BLOCKED, "true"], stderr=subprocess.DEVNULL)
@@ -131,6 +131,7 @@ setup(
         "Programming Language :: Python :: 3.11",
         "Programming Language :: Python :: 3.12",
         "Programming Language :: Python :: 3.13",
+        "Programming Language :: Python :: 3.14",
         "Topic :: Scientific/Engineering",
         "Typing :: Typed",
     ],

@@ -30,6 +30,10 @@ class UsageError(RigError, ValueError):
     """A command was called with arguments that do not go together."""
 
 
+class InstallationError(RigError, OSError):
+    """What the suite needs could not be installed on this machine."""
+
+
 class RosMissingError(RigError, ImportError):
     """A node was asked for where ROS 2 is not installed."""
 

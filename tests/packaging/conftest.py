@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import runpy
 import shutil
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -78,18 +79,33 @@ def foreign_ros(tmp_path: Path) -> dict[str, str]:
     }
 
 
+FAKE = """
+import platform, runpy, sys, sysconfig
+{changes}
+sys.executable = {path!r}
+sys.path[:0] = {modules!r}
+if sys.argv[1] == "-c":
+    exec(sys.argv[2])
+else:
+    del sys.argv[0]
+    runpy.run_path(sys.argv[0], run_name="__main__")
+"""
+
+
 @pytest.fixture
 def fake_python(tmp_path: Path) -> Callable[..., Path]:
-    """Write interpreters that answer the set-up's questions as told."""
+    """Write interpreters that are this one but for some facts about it, and that see no installed packages."""
 
-    def write(answer: str, sourced_ros: str = "", name: str = "python-fake") -> Path:
+    def write(changes: str = "", name: str = "python-fake", modules: Path | None = None) -> Path:
         path = tmp_path / "bin" / name
         path.parent.mkdir(exist_ok=True)
-        path.write_text(
-            "#!/bin/sh\n"
-            f"case \"$*\" in *rclpy*) printf '%s' '{sourced_ros}'; [ -n '{sourced_ros}' ]; exit;; esac\n"
-            f"printf '%s' '{answer}'\n"
+        fit = (
+            "platform.system = lambda: 'Linux'; platform.machine = lambda: 'x86_64'; "
+            "platform.libc_ver = lambda: ('glibc', '2.39'); "
         )
+        facts = {"changes": fit + changes, "path": str(path), "modules": [str(modules)] if modules else []}
+        path.with_suffix(".py").write_text(FAKE.format(**facts))
+        path.write_text(f"#!/bin/sh\nexec '{sys.executable}' -S '{path.with_suffix('.py')}' \"$@\"\n")
         path.chmod(0o755)
         return path
 
