@@ -31,8 +31,8 @@ ROSDEP_KEYS = {  # top-level module: key in package.xml; None: from PyPI only, o
     "serial": "python3-serial",
     "tqdm": "python3-tqdm",
     "ruamel": "python3-ruamel.yaml",
-    "rosbags": None,
-    "mcap": None,
+    "rosbags": "python3-rosbags-pip",
+    "mcap": "mcap-ros2-support",  # which brings it
     "control": None,
     "distributed": None,
     "numba": None,  # makes stepping and tracking quicker where it is
