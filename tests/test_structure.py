@@ -129,7 +129,6 @@ TESTED_IN = (
     ("beam_ros/shell", "axis_emulators axis_links trajectory_topics", "nodes/test_axis_links"),
     ("beam_ros/shell", "fault_requests", "nodes/test_firmware_emulator"),
     ("beam_ros/shell", "frame_averaging frame_sources", "nodes/test_vision_tracker"),
-    ("beam_ros/shell", "node", "nodes/test_parameters"),
     ("beam_ros/cli/results", "study", "studies/test_study"),
     ("beam_ros/studies", "rows statistics summary table", "studies/test_study"),
     ("beam_ros/viewers", "curves foxglove plotjuggler ros_tools", "viewers/test_layouts"),

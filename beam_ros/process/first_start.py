@@ -16,7 +16,7 @@ from pathlib import Path
 from beam_ros.process.executables import MODULES
 
 _BLOCKING = ("/usr/bin/env", "-S", "--block-signal=INT --block-signal=TERM")
-_LONGEST_FIRST_LINE = 255
+_MAX_FIRST_LINE = 255
 """So many bytes of a script's first line Linux reads."""
 
 
@@ -32,7 +32,7 @@ def hold_signals_back(scripts: Path, python: str) -> None:
     python : str -- path of the interpreter that runs them
     """
     line = f"#!{' '.join(_BLOCKING)} {shlex.quote(python)}\n".encode()
-    if sys.platform != "linux" or "'" in python or len(line) > _LONGEST_FIRST_LINE:
+    if sys.platform != "linux" or "'" in python or len(line) > _MAX_FIRST_LINE:
         return
     if subprocess.call([*_BLOCKING, "true"], stderr=subprocess.DEVNULL):
         return  # an env older than 2019

@@ -60,7 +60,7 @@ _FAULTS = (
         "your own",
     ),
 )
-"""What a failed step has written, and what a person is told of it."""
+"""What a failed step has written, and what that means to a person."""
 
 _PROGRESS = re.compile(r"(Resolved|Downloading|Prepared|Installed|Collecting|Installing) ")
 

@@ -8,6 +8,7 @@ differently, and a node declares the parameters that it reads and no others.
 from __future__ import annotations
 
 import contextlib
+import inspect
 import signal
 import sys
 import threading
@@ -22,7 +23,7 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rclpy.client import Client
 from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import InvalidHandle, ParameterNotDeclaredException
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor, await_or_execute
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.publisher import Publisher
@@ -44,47 +45,55 @@ from beam_ros.rig.time_keeping import NO_CLOCK, check_time
 FAULT_OF_THE_USER = 2
 _FIRST_LOOK_S = 0.5
 """So long a node that follows /clock waits for it before it warns [s]; the time to find each other on the graph."""
-REQUEST_SENT_NS: ContextVar[int] = ContextVar("REQUEST_SENT_NS")
-"""Steady time [ns] at which the request was sent that a callback begins to answer, by the clock of who sent it."""
+_REQUEST_SENT_NS: ContextVar[int] = ContextVar("_REQUEST_SENT_NS")
+"""Steady time [ns] at which a request was sent, by the clock of who sent it."""
 _GRAPH_IS_GONE = ("RCLError", "InvalidHandle", "NotInitializedException")
 """What rclpy raises in a callback when a signal shuts the graph down between two of its lines."""
+
+_OVERRIDDEN = ("_guard", "_take_service")
+"""What rclpy keeps to itself, and the executor below replaces; another rclpy may not have it."""
 
 
 def request_sent_ns() -> int:
     """Return the steady time [ns] at which the request was sent that a callback begins to answer.
 
-    An executor that does not hand it on, of a process that composes nodes by itself, leaves the time of now.
+    Where the executor does not hand it on (another rclpy, or a process that composes nodes by itself) that is now.
     """
-    return REQUEST_SENT_NS.get(time.monotonic_ns())
+    return _REQUEST_SENT_NS.get(time.monotonic_ns())
 
 
-class _Executor(SingleThreadedExecutor):  # type: ignore[misc]
-    """Hands on when a request was sent, and does not wake itself.
+def make_executor() -> SingleThreadedExecutor:
+    """Make an executor that hands on when a request was sent, and does not wake itself.
 
     rclpy receives the time beside a request and keeps it to itself. And it wakes its own executor twice for every
     callback, for the sake of executors with several threads: each time all that can be waited for is put together
-    anew. Here the only thread, which is the one that makes the executor, comes round by itself.
+    anew. Here the only thread, which is the one that makes the executor, comes round by itself. An rclpy that is
+    made otherwise keeps its executor as it is: the nodes then take more time, and a request counts as sent when it
+    is taken.
     """
+    executor = SingleThreadedExecutor()
+    if all(hasattr(executor, name) for name in _OVERRIDDEN):
+        wake, own_thread = executor._guard.trigger, threading.get_ident()
+        executor._guard.trigger = lambda: None if threading.get_ident() == own_thread else wake()
+        executor._take_service = _take_service
+    return executor
 
-    def __init__(self) -> None:
-        super().__init__()
-        wake, own_thread = self._guard.trigger, threading.get_ident()
-        self._guard.trigger = lambda: None if threading.get_ident() == own_thread else wake()
 
-    def _take_service(self, srv: Service) -> Callable[[], Coroutine[Any, Any, None]] | None:
-        try:
-            with srv.handle:
-                request, header = srv.handle.service_take_request(srv.srv_type.Request)
-        except InvalidHandle:
-            return None  # The service was taken away meanwhile.
+def _take_service(srv: Service) -> Callable[[], Coroutine[Any, Any, None]] | None:
+    """Do as rclpy's executor does, and note when the request was sent."""
+    try:
+        with srv.handle:
+            request, header = srv.handle.service_take_request(srv.srv_type.Request)
+    except InvalidHandle:
+        return None  # The service was taken away meanwhile.
 
-        async def answer() -> None:
-            if header is not None:
-                REQUEST_SENT_NS.set(time.monotonic_ns() - (time.time_ns() - header.source_timestamp))
-                response = await await_or_execute(srv.callback, request, srv.srv_type.Response())
-                srv.send_response(response, header)
+    async def answer() -> None:
+        if header is not None:
+            _REQUEST_SENT_NS.set(time.monotonic_ns() - (time.time_ns() - header.source_timestamp))
+            answered = srv.callback(request, srv.srv_type.Response())
+            srv.send_response(await answered if inspect.isawaitable(answered) else answered, header)
 
-        return answer
+    return answer
 
 
 def qos_profile(qos: graph.QualityOfService) -> QoSProfile:
@@ -294,11 +303,11 @@ def run_node(build: Callable[[], RigNode], argv: list[str] | None = None) -> int
     arguments = sys.argv if argv is None else ["node", *argv]
     status = 0
     node: RigNode | None = None
-    executor: _Executor | None = None
+    executor: SingleThreadedExecutor | None = None
     try:
         _initialise(arguments)
         node = build()
-        executor = _Executor()
+        executor = make_executor()
         executor.add_node(node)
         executor.spin()
     except ExternalShutdownException:

@@ -147,6 +147,7 @@ def test_what_only_asks_for_less_installs_nothing_and_keeps_what_is_there(
     assert written["source"] == "wheels"
 
 
+@pytest.mark.slow
 def test_without_a_network_an_update_is_refused_in_one_line_and_what_is_left_counts_as_unfinished(
     environment: StampedEnvironment, clone: Path
 ) -> None:
