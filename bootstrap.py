@@ -13,6 +13,7 @@ says itself, in one line, why it does not fit.
 """
 
 import argparse
+import errno
 import glob
 import importlib.util
 import os
@@ -215,9 +216,11 @@ def main() -> int:
         return bootstrap(sys.argv[1:])
     except OSError as error:
         text = str(error)
-        if error.errno is not None:
-            remedy = "make room, or call as the owner of this tree or in a clone of your own"
-            text = f"{error.filename or 'a file'}: {error.strerror}; expected 1 GB of disk that is yours; {remedy}"
+        if error.errno == errno.ENOSPC:
+            text = "the disk is full; expected about 1 GB free; make room and call again"
+        elif error.errno is not None:
+            remedy = "call as their owner, or in a clone of your own"
+            text = f"{error.filename}: {error.strerror}; expected a tree and an environment of your own; {remedy}"
         print(f"bootstrap: {text}", file=sys.stderr)
     except KeyboardInterrupt:
         print("bootstrap: interrupted; the next call makes the set-up anew", file=sys.stderr)
