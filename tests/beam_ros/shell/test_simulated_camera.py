@@ -19,6 +19,7 @@ from beam_ros.shell.simulated_camera import SimulatedCamera
 START = 1_700_000_000_000_000_000
 SPEED = 0.2  # [m/s]: a frame stamped 1 ms late shows a hub 0.3 px away
 EXPOSURE_S, READOUT_S, LATENCY_S = 0.002, 0.006, 0.003
+TURNS = 50  # in each of them a few frames are drawn
 
 
 def published(
@@ -43,7 +44,8 @@ def published(
 
     node = SimpleNamespace(rig=rig, types=BagTypes(), offer=offer)
     camera = SimulatedCamera(node, model, snapshots, START, with_images=with_images)
-    camera.publish_until(START + until_ns)
+    for _ in range(TURNS):
+        camera.publish_until(START + until_ns)
     return rig, came, camera
 
 
@@ -121,3 +123,20 @@ def test_a_simulation_that_falls_behind_says_so_and_one_that_keeps_up_is_well() 
             "WARN",
             f"the simulation falls behind: {lost} frames were lost because this computer fell behind",
         )
+
+
+def test_commands_do_not_wait_for_the_whole_film_and_for_less_of_it_where_the_rig_is_behind() -> None:
+    _, came, camera = published(False)
+    frames = came["beam/displacement"]
+
+    def turn() -> int:
+        before = len(frames)
+        camera.publish_until(START + 400_000_000)
+        return len(frames) - before
+
+    at_ease = turn()
+    assert 1 < at_ease < 10
+    camera.note_lag(0.1)
+    assert 1 <= turn() < at_ease
+    camera.note_lag(0.0)
+    assert turn() == at_ease
