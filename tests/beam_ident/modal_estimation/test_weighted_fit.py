@@ -24,6 +24,7 @@ def with_encoder_noise(seed: int, sd: float, stated: float, missing: float = 0.0
     return TimeRecord((InputSignal("hub", "m", drive.times_s, values, "cubic", stated),), tuple(outputs))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("missing", [0.0, 0.1])
 def test_noise_on_a_measured_input_biases_nothing_where_its_size_is_stated(missing):
     found = identify(with_encoder_noise(3, 2e-6, 2e-6, missing), n_modes=3)
@@ -36,6 +37,7 @@ def test_noise_on_a_measured_input_biases_nothing_where_its_size_is_stated(missi
         assert any("nobody declared" in said for said in undeclared.warnings)
 
 
+@pytest.mark.slow
 def test_two_noisy_inputs_are_each_taken_for_what_they_are():
     records = [with_encoder_noise(1, 1e-6, 1e-6), with_encoder_noise(2, 1e-8, 1e-8)]
     both = identify(records, n_modes=3).model
@@ -47,6 +49,7 @@ def test_two_noisy_inputs_are_each_taken_for_what_they_are():
     assert 1.1 < gain[2] < 1.4
 
 
+@pytest.mark.slow
 def test_unmodelled_motion_is_not_weighed_as_if_it_were_noise():
     moving = beam_record(8).between(3.0, 13.0)
     still = ModalStructure(has_free_response=False, has_offset=False, has_ramp=False)
@@ -55,6 +58,7 @@ def test_unmodelled_motion_is_not_weighed_as_if_it_were_noise():
     assert np.max(np.abs(z_scores(found.model))[:6]) > 10.0
 
 
+@pytest.mark.slow
 def test_an_input_noise_that_is_stated_far_too_large_is_not_believed():
     found = identify(with_encoder_noise(3, 1e-8, 1e-4), n_modes=3)
     assert not found.converged
@@ -73,6 +77,7 @@ def test_a_hub_that_shows_nothing_but_its_encoders_noise_stands_still():
     assert any("stands still" in text for text in found.warnings)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("seed", "mode"), [(61, "4.43 Hz"), (75, "4.587 Hz")])
 def test_noise_of_the_input_is_not_taken_for_a_mode_beside_a_true_one(seed, mode, monkeypatch):
     # What a search with equal weights takes for one. The search behind the noise does not see it to begin with.
@@ -119,6 +124,7 @@ def with_stamp_jitter(seed: int, sd_s: float, encoder_sd: float = 0.0) -> TimeRe
     return TimeRecord(record.inputs, tuple(outputs))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("encoder_sd", [0.0, 2e-7])
 def test_stamps_that_scatter_are_late_for_all_outputs_at_once(encoder_sd):
     scores = []
@@ -140,6 +146,7 @@ def test_stamps_that_scatter_are_late_for_all_outputs_at_once(encoder_sd):
     assert np.mean(power) < 1.7
 
 
+@pytest.mark.slow
 def test_stamps_that_do_not_scatter_are_not_said_to():
     steady = identify(beam_record(1), n_modes=3)
     assert {record.noise for output in steady.outputs for record in output.records} == {""}

@@ -21,6 +21,7 @@ def cost(seed: int, structure: ModalStructure, n_modes: int) -> float:
     return chosen.aic - 2.0 * chosen.n_parameters
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("seed", "n_modes"),
     [
@@ -38,11 +39,13 @@ def test_free_motion_that_is_asked_for_never_leads_to_a_worse_optimum(seed, n_mo
     assert cost(seed, MOVING, n_modes) < cost(seed, DRIFTING, n_modes) + SAME
 
 
+@pytest.mark.slow
 def test_one_more_mode_never_leads_to_a_worse_optimum():
     # Two modes end better by way of the structure without an offset; the third has to go on from there.
     assert cost(71, DRIFTING, 3) < cost(71, DRIFTING, 2) + SAME
 
 
+@pytest.mark.slow
 def test_a_low_pass_behind_which_less_is_seen_is_not_taken():
     # Behind the low-pass that seemed likely two modes explain less than one does without.
     assert cost(64, DRIFTING, 2) < cost(64, DRIFTING, 1) + SAME

@@ -56,6 +56,7 @@ def test_tilted_pictures_give_the_lens_too(tmp_path: Path, capsys: pytest.Captur
     assert lens["distortion"][0] == pytest.approx(-0.21, abs=0.02)
 
 
+@pytest.mark.slow
 def test_pictures_without_the_board_are_counted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     files = [
         str(write(tmp_path / f"{k}.png", picture(*pose, lens=BENT, seed=k))) for k, pose in enumerate(POSES)
@@ -78,6 +79,7 @@ def test_a_picture_of_another_size_in_a_folder_is_named(
     assert f"{tmp_path}: holds one of 320 x 240; expected 640 x 480" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_folder_of_a_charuco_board_gives_scale_and_lens_with_their_deviations(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -108,6 +110,7 @@ def test_a_folder_of_a_charuco_board_gives_scale_and_lens_with_their_deviations(
     assert "there is no dictionary" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_board_that_is_never_tilted_gives_the_scale_alone(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -53,6 +53,7 @@ def rows(tmp_path_factory: pytest.TempPathFactory) -> list[Row]:
     ]
 
 
+@pytest.mark.slow
 def test_a_row_holds_poles_quality_and_provenance(rows: list[Row]) -> None:
     expected = json.loads((BAGS / "expected.json").read_text())["drifting"]["identified"]
     row = rows[1]
@@ -145,6 +146,7 @@ def test_bags_are_found_by_path_folder_and_pattern(tmp_path: Path) -> None:
         find_bags([str(tmp_path)])
 
 
+@pytest.mark.slow
 def test_a_study_goes_on_where_it_was_interrupted_and_sees_a_bag_that_changed(tmp_path: Path) -> None:
     shutil.copytree(BAGS / "step", tmp_path / "step")
     items = [Item(bag=tmp_path / "step"), Item(bag=BAGS / "decay")]
@@ -170,6 +172,7 @@ def test_a_study_goes_on_where_it_was_interrupted_and_sees_a_bag_that_changed(tm
         open_study(tmp_path / "step", settings, overwrite=True)
 
 
+@pytest.mark.slow
 def test_seeds_take_the_place_of_bags(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     short = [
         "-p",
