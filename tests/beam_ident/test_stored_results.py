@@ -111,6 +111,7 @@ def test_json_text_carries_everything_exactly(name):
     assert json.dumps(restore(json.loads(text)).to_dict()) == text
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("name", NAMES[:-1])
 def test_type_and_schema_are_stated_and_asked_for(name):
     value = stored(name)

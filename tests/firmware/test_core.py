@@ -185,6 +185,7 @@ def test_the_core_does_not_drift_from_the_emulator_over_a_long_sequence():
     assert np.abs(ends[0].velocity_counts - ends[1].velocity_counts).max() <= 2
 
 
+@pytest.mark.slow
 def test_a_forced_hub_is_as_fast_as_the_core_believes():
     """The emulator knows the speed; the core has it from the encoder, and a tick changes it by 5 mm/s."""
     speeds = []

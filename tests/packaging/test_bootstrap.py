@@ -74,6 +74,7 @@ def version(text: str) -> str:
     return f"sys.version_info = {numbers}; platform.python_version = lambda: {text!r}"
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize(
     ("changes", "parts"),
     [
@@ -125,6 +126,7 @@ def test_what_needs_no_ros_is_for_every_platform(bootstrap: ModuleType, fake_pyt
     assert bootstrap.find_python(path, is_for_wheels=False) == path
 
 
+@pytest.mark.slow
 def test_what_the_command_line_cannot_mean_is_refused(clone: Path, fake_python: Interpreters) -> None:
     assert_refused(call(clone, "--python", "python9.9"), "python9.9")
     assert_refused(call(clone, "--python", "/bin/true"), "/bin/true", "CPython")

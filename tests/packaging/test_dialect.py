@@ -68,6 +68,7 @@ def names_of(node: ast.AST) -> list[str]:
     return [target.id for target in targets if isinstance(target, ast.Name)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pattern", WORDS)
 def test_pages_docstrings_and_messages_are_in_plain_words(pattern: str) -> None:
     found = [place for place, text in texts() if re.search(pattern, text)]

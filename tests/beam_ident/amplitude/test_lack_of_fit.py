@@ -44,6 +44,7 @@ def said(curves: AmplitudeCurves) -> str:
     return " ".join(curves.warnings)
 
 
+@pytest.mark.slow
 def test_noise_alone_is_seldom_accused() -> None:
     chances = []
     for seed in range(5):
@@ -63,6 +64,7 @@ def test_own_swings_are_taken_out_and_no_others() -> None:
     assert abs(swings) < 1e-3 * len(left.values) * 2e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("f_hz", "share"), [(4.6, 0.3), (4.45, 0.5)])
 def test_two_modes_that_beat_are_told_apart(f_hz: float, share: float) -> None:
     """The curve followed the beat: 0.5 % off in frequency, twenty standard deviations."""
@@ -79,6 +81,7 @@ def test_two_modes_of_one_size_are_refused_by_name() -> None:
         amplitude_curves(seen(beating(4.6, 1.0)))
 
 
+@pytest.mark.slow
 def test_what_no_law_of_powers_follows_is_named() -> None:
     """The bands missed the frequency at a stop by 14 standard deviations, and nothing said so."""
     assert "bends more sharply over the amplitude" in said(amplitude_curves(seen(released(stop))))
@@ -87,6 +90,7 @@ def test_what_no_law_of_powers_follows_is_named() -> None:
     assert "the law does not follow the decay" in said(amplitude_curves(seen(blow)))
 
 
+@pytest.mark.slow
 def test_a_pendulum_is_no_pair_of_modes() -> None:
     def pendulum(x: float, v: float) -> float:
         return 2.0 * ZETA * OMEGA * v + OMEGA**2 * UNIT * math.sin(x / UNIT)
@@ -94,6 +98,7 @@ def test_a_pendulum_is_no_pair_of_modes() -> None:
     assert amplitude_curves(seen(released(pendulum))).warnings == ()
 
 
+@pytest.mark.slow
 def test_samples_that_are_no_measurements_are_named() -> None:
     x = released(linear)
     assert "Clipped:" in said(amplitude_curves(seen(x, limit=0.7 * UNIT)))

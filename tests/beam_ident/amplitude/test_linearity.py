@@ -30,6 +30,7 @@ def test_what_a_pole_makes_of_a_cause_is_its_integral() -> None:
     assert np.abs(driven(pole, t, cause) - expected).max() < 1e-9
 
 
+@pytest.mark.slow
 def test_a_cubic_spring_shows_its_frequency() -> None:
     soft = judged(Oscillator(zeta=0.01, hardening=-0.001))
     assert not soft.is_linear
@@ -43,6 +44,7 @@ def test_a_cubic_spring_shows_its_frequency() -> None:
     assert "m of z285 its frequency changes by -0." in soft.verdict
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("oscillator", "grows"),
     [(Oscillator(zeta=0.01, quadratic=0.001), True), (Oscillator(zeta=0.01, dry=0.0005), False)],
@@ -65,6 +67,7 @@ def verdicts(seeds: range) -> list[bool]:
     return result
 
 
+@pytest.mark.slow
 def test_a_linear_record_is_called_linear() -> None:
     found = judged(Oscillator(zeta=0.01))
     assert found.is_linear
@@ -77,6 +80,7 @@ def test_a_linear_record_is_called_linear_in_95_percent() -> None:
     assert 0.92 <= np.mean(verdicts(range(200))) <= 0.995
 
 
+@pytest.mark.slow
 def test_noise_that_swells_with_the_motion_is_no_change_of_the_pole() -> None:
     chances = []
     for seed in range(3):
@@ -91,6 +95,7 @@ def test_noise_that_swells_with_the_motion_is_no_change_of_the_pole() -> None:
     assert np.median(chances) > 0.1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("encoder", [2e-6, 2e-5])
 def test_noise_of_a_measured_input_is_no_change_of_the_pole(encoder: float) -> None:
     records = [moved_hub(seed, encoder) for seed in range(5)]
@@ -100,6 +105,7 @@ def test_noise_of_a_measured_input_is_no_change_of_the_pole(encoder: float) -> N
     assert sum(chance < 0.05 for chance in chances) <= 1, chances
 
 
+@pytest.mark.slow
 def test_a_cubic_spring_shows_behind_a_noisy_input() -> None:
     record = moved_hub(1, 2e-6, hardening=0.02)
     found = linearity([record], identify(record, n_modes=1).model)

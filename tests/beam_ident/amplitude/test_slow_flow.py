@@ -10,6 +10,7 @@ from tests.beam_ident.amplitude.oscillators import OMEGA, UNIT, Oscillator
 STAMPS = np.sort(np.random.default_rng(3).uniform(0.0, 12.0, 400))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "rates",
     [[0.0, 0.1], [0.02, 0.1, 0.3], [0.0, 0.05, 0.2, 0.4], [0.0, 0.6]],
@@ -36,6 +37,7 @@ def test_dry_friction_ends_the_motion_at_a_finite_time() -> None:
     assert np.all(A[STAMPS > 2.1] == 0.0)
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize(
     "oscillator",
     [

@@ -120,6 +120,7 @@ def test_a_cluster_does_the_same_work_elsewhere(scheduler):
     assert seen[-1] == 1.0
 
 
+@pytest.mark.slow
 def test_orders_are_selected_on_a_cluster_as_at_home(scheduler):
     record = benchmark_record(1, 10.0)
     here = select_transfer_function(record, [3, 4], [1])
@@ -133,6 +134,7 @@ def test_a_fault_on_the_cluster_comes_through(scheduler):
         map_records(square, [1, -1], scheduler=scheduler)
 
 
+@pytest.mark.slow
 def test_an_address_where_nobody_listens_is_named(monkeypatch):
     pytest.importorskip("distributed")
     monkeypatch.setattr("beam_ident.data.batches._CONNECTION_TIMEOUT_S", 1)

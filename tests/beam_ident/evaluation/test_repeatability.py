@@ -41,6 +41,7 @@ def drawn(rng: np.random.Generator, factor: float = 1.0, modes: tuple[int, ...] 
     )
 
 
+@pytest.mark.slow
 def test_the_statistic_is_chi_squared_where_the_covariances_are_right():
     rng = np.random.default_rng(1)
     studies = [assess_repeatability([drawn(rng) for _ in range(4)]) for _ in range(300)]

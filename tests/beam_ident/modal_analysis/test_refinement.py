@@ -20,6 +20,7 @@ from tests.beam_ident.modal_analysis.chain import (
 )
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize(
     ("form", "differentiations"), [("receptance", 0), ("mobility", 1), ("accelerance", 2)]
 )
@@ -48,6 +49,7 @@ def test_with_one_per_cent_of_noise_damping_is_within_one_per_cent():
     assert np.all(np.abs(np.sum(np.conj(measured) * SHAPES, axis=0)) > 0.9999)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("is_relative", [True, False])
 def test_sigmas_cover(is_relative):
     scores, spread = [], []
@@ -112,6 +114,7 @@ def test_the_gradient_of_a_residue_is_exact():
         assert abs(gradient[k] - slope) < 1e-8 * np.max(np.abs(gradient))
 
 
+@pytest.mark.slow
 def test_a_pole_of_the_chart_that_says_nothing_is_left_out_and_named():
     chart = stabilisation_chart(noisy_record(4, 0.01, (0,)), max_order=30)
     kept = analyse_modes(chart)

@@ -43,6 +43,7 @@ def fitted(record, structure="base_motion", **keywords):
     )
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize(
     ("structure", "hold"),
     [

@@ -59,6 +59,7 @@ def test_the_order_table_marks_the_choice_and_says_why_others_were_refused(resul
     assert all(entry.refused_because for entry in result.orders if entry.n_modes > 3)
 
 
+@pytest.mark.slow
 def test_scores_are_given_on_the_deflection_too(result):
     root = result.output("z010")
     assert root.scores.r_squared > 0.9999

@@ -61,6 +61,7 @@ def test_the_noise_before_the_rounding_is_found():
     assert RoundedNoise.of(fine, fine - clean) is None  # a step of noise is dither enough
 
 
+@pytest.mark.slow
 def test_three_bits_are_estimated_at_their_bound():
     case = FewBits(3)
     errors: list[list[np.ndarray]] = [[], []]
@@ -79,6 +80,7 @@ def test_three_bits_are_estimated_at_their_bound():
     np.testing.assert_allclose(joint.models[0].parameters[:6] / single.parameters[:6], 1.0, atol=0.01)
 
 
+@pytest.mark.slow
 def test_modes_of_a_coarsely_rounded_film_are_better_known():
     record, step = beam_record(1, encoder=0.0), 6.0 * 4e-6
     outputs = [dataclasses.replace(o, values=step * np.round(o.values / step)) for o in record.outputs]

@@ -31,6 +31,7 @@ def noise_for_outputs(seed: int) -> TimeRecord:
     return TimeRecord(record.inputs, outputs)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("way", WAYS)
 def test_outputs_of_noise_are_named_and_sound_ones_are_not(way):
     named = sum("no more than chance" in " ".join(WAYS[way](noise_for_outputs(k)).warnings) for k in range(5))

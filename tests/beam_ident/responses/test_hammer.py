@@ -53,6 +53,7 @@ def test_a_window_is_kept_in_every_part_of_a_record_and_mixes_with_no_other():
         FrequencyRecord(lines.omegas, lines.response, decay_rate=-1.0)
 
 
+@pytest.mark.slow
 def test_mode_search_and_modal_analysis_agree_with_the_truth_and_each_other_to_their_stated_sd():
     case = WindowedHammer(5)
     scores = []
@@ -64,6 +65,7 @@ def test_mode_search_and_modal_analysis_agree_with_the_truth_and_each_other_to_t
     assert 0.7 < np.sqrt(np.mean(np.square(scores))) < 1.35
 
 
+@pytest.mark.slow
 def test_what_lines_have_in_common_under_a_window_is_known_not_guessed():
     case, damping = WindowedHammer(5), slice(4, 6)  # of the upper two modes, broader than the window
     stated = []
@@ -76,6 +78,7 @@ def test_what_lines_have_in_common_under_a_window_is_known_not_guessed():
     assert 0.93 < np.mean(stated) < 1.07
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["receptance", "accelerance"])
 def test_one_blow_has_true_intervals_and_no_junk(kind):
     # Lines of equal weight showed junk above 300 Hz, where the force is weak and the acceleration folds.

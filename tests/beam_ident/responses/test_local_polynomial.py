@@ -41,6 +41,7 @@ def test_a_parabola_is_found_exactly_up_to_the_first_and_the_last_line(half_widt
     np.testing.assert_allclose(found.response[:, 0, 0], parabola(LINES), rtol=1e-8)
 
 
+@pytest.mark.slow
 def test_the_standard_deviation_holds_at_the_edges_where_all_lines_lie_on_one_side():
     errors, sds = [], []
     for seed in range(150):
@@ -96,6 +97,7 @@ def test_lines_at_which_a_sweep_is_as_smooth_as_the_transient_are_marked_as_not_
         local_polynomial_response(record_of_two_light_modes(np.where(t < 0.02, 1.0, 0.0), period))
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("n_samples", [400, 4000, 40_000])
 def test_random_and_periodic_inputs_lose_no_line(n_samples):
     rng = np.random.default_rng(n_samples)

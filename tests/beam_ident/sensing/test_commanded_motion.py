@@ -32,6 +32,7 @@ def test_noise_alone_does_not_contradict_and_is_left_out():
     assert np.max(np.abs(led.values - COMMANDED)) < 4.0 * 2.0 * NOISE / np.sqrt(len(COMMANDED))
 
 
+@pytest.mark.slow
 def test_a_motion_as_commanded_is_believed_nearly_always():
     contradicted = [as_commanded(measured(COMMANDED, seed), COMMANDED) is None for seed in range(100)]
     # Two tests at 1e-3 each: 0.2 expected, four or more once in 17 000.

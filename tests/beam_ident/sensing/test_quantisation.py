@@ -21,6 +21,7 @@ from tests.beam_ident.transfer_function.test_structure_gates import record_of
 from tests.beam_ident.truth import beam_record
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("steps_of_noise", "is_said"), [(0.05, True), (0.15, True), (0.6, False), (2.0, False)]
 )
@@ -63,6 +64,7 @@ def test_clipped_samples_are_left_out_by_the_model_and_named():
     np.testing.assert_allclose(joint.models[0].parameters, found.model.parameters, rtol=1e-2, atol=1.0)
 
 
+@pytest.mark.slow
 def test_clipped_films_keep_their_modes():
     record = beam_record(1)
     known = identify(record, n_modes=3).model
@@ -72,6 +74,7 @@ def test_clipped_films_keep_their_modes():
     assert np.all(moved < 3.3 * found.model.natural_frequency_sd)
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("kind", ["rounded", "step"])
 def test_what_stands_still_is_not_clipped(kind):
     record = benchmark_record(0, 30.0)

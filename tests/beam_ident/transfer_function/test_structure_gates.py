@@ -38,6 +38,7 @@ def record_of(gain: float, n_integrators: int = 0, offset: float = 0.0, n_output
     return TimeRecord((drive,), tuple(outputs))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("has_offset", [False, True])
 def test_pure_noise_leaves_no_model_without_a_warning(has_offset):
     record = record_of(0.0, offset=5.0 * has_offset)
@@ -52,6 +53,7 @@ def test_a_plant_that_is_there_passes_without_a_word():
         assert found.warnings == ()
 
 
+@pytest.mark.slow
 def test_too_many_poles_are_named():
     found = estimate_transfer_function(record_of(1.0), 3, 2)
     assert any("rad/s" in said or "did not converge" in said for said in found.warnings)

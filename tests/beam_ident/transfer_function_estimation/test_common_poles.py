@@ -44,6 +44,7 @@ def test_two_outputs_know_their_poles_better_than_either():
     np.testing.assert_allclose(joint.models[1].standard_deviations[:4], sd, rtol=0.01)
 
 
+@pytest.mark.slow
 def test_intervals_of_both_outputs_cover_the_truth():
     scores = []
     for seed in range(6):
@@ -123,6 +124,7 @@ def test_each_input_may_have_a_known_delay(crossed):
     np.testing.assert_allclose(known.models[0].denominators[0], plain.models[0].denominators[0], rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_a_local_optimum_of_common_poles_is_left_for_that_of_a_structure_inside():
     hard = hard_record(65, 2)
     fits = [estimate_common_poles(hard, *degrees, has_offset=True) for degrees in ((2, 1), (3, 1))]

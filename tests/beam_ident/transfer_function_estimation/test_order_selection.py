@@ -17,6 +17,7 @@ def degrees(selection):
     return selection.chosen.model.n_poles, len(selection.chosen.model.numerator) - 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("snr_db", [20.0, 5.0])
 def test_the_true_degrees_are_chosen_and_the_table_says_why_others_were_not(snr_db):
     seen = []
@@ -34,6 +35,7 @@ def test_the_true_degrees_are_chosen_and_the_table_says_why_others_were_not(snr_
     assert [line.split()[1:3] for line in lines if line.startswith("->")] == [["4", "1"]]
 
 
+@pytest.mark.slow
 def test_processes_give_the_same_table():
     record = benchmark_record(1, 10.0)
     alone = select_transfer_function(record, [3, 4], [1])
@@ -42,6 +44,7 @@ def test_processes_give_the_same_table():
     np.testing.assert_allclose([e.bic for e in alone.table], [e.bic for e in shared.table], rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_one_start_for_each_structure_leaves_none_in_a_local_optimum_that_matters():
     record = benchmark_record(3, 5.0)
     selection = select_transfer_function(record, [4, 5], [1, 2])
@@ -59,6 +62,7 @@ def test_a_structure_that_is_surpassed_begins_where_the_one_inside_it_ended():
         assert np.sum(np.square(found.residuals)) <= np.sum(np.square(known.residuals)) * (1.0 + 1e-6)
 
 
+@pytest.mark.slow
 def test_slow_noise_costs_one_look_at_every_structure(monkeypatch):
     record = benchmark_record(2, 10.0)
     slow = lfilter(
@@ -82,6 +86,7 @@ def test_slow_noise_costs_one_look_at_every_structure(monkeypatch):
     assert all(own[3] == 1 for own in tried if own[2] == "white")
 
 
+@pytest.mark.slow
 def test_noise_alone_passes_no_gate():
     rng = np.random.default_rng(0)
     drive = InputSignal("u", "", (0.0, 0.01), rng.standard_normal(600))
@@ -92,6 +97,7 @@ def test_noise_alone_passes_no_gate():
         select_transfer_function(record, [])
 
 
+@pytest.mark.slow
 def test_what_answers_at_once_gets_as_many_zeros_as_poles():
     # (s^2 + s + 3) / (s^2 + 0.4 s + 9), its steps exact under a held input.
     rng = np.random.default_rng(1)
@@ -110,6 +116,7 @@ def test_what_answers_at_once_gets_as_many_zeros_as_poles():
     assert {entry.n_zeros for entry in selection.table} == {0, 1, 2}
 
 
+@pytest.mark.slow
 def test_a_simulation_that_runs_away_is_refused():
     # x'' + 0.5 x' - 4 x = u is held upright by a loop; its open simulation is not, and scored -460 %.
     rng = np.random.default_rng(0)

@@ -47,6 +47,7 @@ def test_a_gap_begins_a_new_run():
     np.testing.assert_allclose(found[17:], Whitening(NOISE, times[17:]).apply(columns[17:]))
 
 
+@pytest.mark.slow
 def test_the_noise_is_identified_beside_the_system():
     found = estimate_transfer_function(noisy_record(2), 4, 1, method="rivc")
     assert found.converged
@@ -62,6 +63,7 @@ def test_the_noise_is_identified_beside_the_system():
     assert np.max(np.abs(scores)) < 4.0
 
 
+@pytest.mark.slow
 def test_the_fast_mode_of_a_beam_gains_what_its_noise_lacks():
     beam = ForcedBeam()
     clean = beam.model.simulate(beam.drive, beam.period * np.arange(beam.n))[:, 0]
@@ -101,6 +103,7 @@ def scattered(seed: int, correlation_s: float, share_missing: float = 0.0) -> Ti
     return TimeRecord((drive,), (OutputSignal("y", "", times, values),))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("share_missing", [0.0, 0.3])
 def test_coloured_noise_at_any_stamps_is_weighed_by_default(share_missing):
     errors, scores = [], []
@@ -120,6 +123,7 @@ def test_coloured_noise_at_any_stamps_is_weighed_by_default(share_missing):
     assert np.all(np.mean(np.square(scores), axis=(0, 2)) < 2.2)
 
 
+@pytest.mark.slow
 def test_coloured_noise_does_not_pass_for_poles():
     values = benchmark_record(0, 10.0).outputs[0].values.copy()
     white = np.random.default_rng(4).standard_normal(2000)
@@ -131,6 +135,7 @@ def test_coloured_noise_does_not_pass_for_poles():
     assert chosen.method == "auto"
 
 
+@pytest.mark.slow
 def test_outputs_with_common_poles_have_noise_of_their_own_colour():
     slow, fast = scattered(7, 1.0), scattered(8, 0.05)
     outputs = (slow.outputs[0], OutputSignal("z", "", fast.outputs[0].times_s, fast.outputs[0].values))
@@ -141,6 +146,7 @@ def test_outputs_with_common_poles_have_noise_of_their_own_colour():
         assert np.max(np.abs((model.parameters[:6] - PARAMETERS) / model.standard_deviations[:6])) < 4.0
 
 
+@pytest.mark.slow
 def test_what_the_model_misses_is_not_weighed_away():
     # A second order for a system of the fourth: residuals are the fast mode, not noise.
     record = benchmark_record(0, 60.0)
@@ -150,6 +156,7 @@ def test_what_the_model_misses_is_not_weighed_away():
     assert any("unmodelled" in said for said in found.warnings)
 
 
+@pytest.mark.slow
 def test_structures_are_compared_under_the_noise_as_it_is_also_where_their_weights_stay_equal():
     # Slow steps that a second order without zeros cannot follow: its misfit has a colour that no weighing believes.
     rng, times = np.random.default_rng(0), 0.01 * np.arange(4000)

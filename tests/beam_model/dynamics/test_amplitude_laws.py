@@ -30,6 +30,7 @@ def swing(model: BeamModel, drag: AirDrag | None) -> tuple[np.ndarray, np.ndarra
     return 1e-3 * (k - rise / bend), w[k] - 0.5 * rise**2 / bend
 
 
+@pytest.mark.slow
 def test_a_swing_integrated_in_time_obeys_the_law() -> None:
     model = BeamModel(strip(damping=Damping(viscous=0.05), gravity="upright", tip_mass=1e-3), 1)
     times, peaks = swing(model, None)
@@ -42,6 +43,7 @@ def test_a_swing_integrated_in_time_obeys_the_law() -> None:
     assert found == pytest.approx(law.damping_ratios(middle), rel=0.01)
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize(("linear", "drag"), [(0.005, 0.02), (0.02, 0.05), (0.0, 0.03)])
 def test_the_ringing_of_a_dragged_oscillator_crosses_zero_at_the_laws_frequency(linear, drag):
     force = drag * 3.0 * np.pi / 4.0  # of |x'| x': zeta_q = 4 beta A/(3 pi) at omega = 1

@@ -23,6 +23,7 @@ def total_energy(model: BeamModel, terms: NonlinearTerms, state: np.ndarray) -> 
     return float(linear + terms.potential_energy(q) + terms.kinetic_energy(q, rates))
 
 
+@pytest.mark.slow
 def test_without_losses_the_full_energy_is_kept() -> None:
     model = BeamModel(strip(gravity="upright", tip_mass=1e-3, point_masses=(PointMass(0.2, 1e-3),)), 3)
     terms = NonlinearTerms(model)
@@ -112,6 +113,7 @@ def test_small_motion_is_linear() -> None:
     assert stepper.hub_velocity == pytest.approx(a.sum() * PERIOD)
 
 
+@pytest.mark.slow
 def test_halving_the_step_changes_little_and_less_each_time() -> None:
     model = BeamModel(strip(gravity="upright", damping=Damping(ratios=(0.005,))), 5)
     terms = NonlinearTerms(model, AirDrag.for_amplitude(0.025, 0.03))

@@ -122,6 +122,7 @@ def test_the_command_finds_the_truth_and_saves_it(
     assert provenance["reference_m"] == pytest.approx(THERE_AND_BACK, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_play_and_curvature_are_seen_and_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     loose = record(tmp_path / "loose", play_px=0.02)
     fit, _ = calibrate_from_bags([loose])
@@ -136,6 +137,7 @@ def test_play_and_curvature_are_seen_and_told(tmp_path: Path, capsys: pytest.Cap
     assert any("distortion" in warning for warning in result["warnings"])
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("angle", [0.03, -0.2])
 def test_the_angle_between_rows_and_travel_is_found_and_taken_out(tmp_path: Path, angle: float) -> None:
     fit, _ = calibrate_from_bags([record(tmp_path / "turned", angle=angle)])
@@ -151,6 +153,7 @@ def test_the_angle_between_rows_and_travel_is_found_and_taken_out(tmp_path: Path
     assert LinearCalibration.from_dict(found.to_dict()) == found
 
 
+@pytest.mark.slow
 def test_positions_where_the_beam_still_swings_are_left_out_and_told(tmp_path: Path) -> None:
     fit, _ = calibrate_from_bags([record(tmp_path / "some", swing_px=3.0, swings=(2, 5))])
     assert fit.calibration.provenance["n_points"] == len(THERE_AND_BACK) - 2
@@ -164,6 +167,7 @@ def test_positions_where_the_beam_still_swings_are_left_out_and_told(tmp_path: P
         calibrate_from_bags([record(tmp_path / "all", swing_px=3.0, swings=range(14))])
 
 
+@pytest.mark.slow
 def test_a_laser_is_a_reference_and_its_uncertainty_travels(tmp_path: Path) -> None:
     path = record(tmp_path / "bag", laser_m=1.002)
     fit, _ = calibrate_from_bags([path], reference="laser:foot", reference_sd_m=5e-6)

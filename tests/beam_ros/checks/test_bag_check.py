@@ -211,6 +211,7 @@ def test_a_bag_without_a_rig_or_without_its_topics_is_checked_as_far_as_it_goes(
     assert "/beam/displacement" in gate(bare, "content").figure
 
 
+@pytest.mark.slow
 def test_a_foreign_bag_is_checked_by_its_signals(tmp_path: Path) -> None:
     path = foreign.write(tmp_path / "bag", foreign.experiment(foreign.shaken(3.0), "/rig7"))
     signals = Signals.of("joint_states:position[axis]", ["range:range", "imu:linear_acceleration.x"])

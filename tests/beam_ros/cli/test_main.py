@@ -62,8 +62,6 @@ def _write(folder: Path, text: str) -> None:
         (("simulate", "--bag", "."), (".", "exist")),
         (("simulate",), ("--bag",)),
         (("export", "run"), ("--csv", "--flat-bag", "required")),
-        (("replay", "nowhere"), ("nowhere", "does not exist")),
-        (("record", "rig.yaml"), ("exists already",)),
         (("up", "--rig", "real"), ("serial.port",)),
         (("up", "--rig", "imaginary"), ("imaginary", "simulated")),
         (("demo", "--rig", "real"), ("real", "emulated")),
@@ -96,12 +94,15 @@ def test_a_fault_of_the_users_is_one_line_and_status_2(
     ("arguments", "words"),
     [
         (("run", "simulator", "--bogus"), ("--bogus", "--ros-args")),
+        (("replay", "nowhere"), ("nowhere", "does not exist")),
+        (("record", "rig.yaml"), ("exists already",)),
         (("identify", "nowhere"), ("nowhere", "does not exist")),
     ],
 )
 def test_a_process_ends_with_the_same_line_and_status(
     tmp_path: Path, arguments: tuple[str, ...], words: tuple[str, ...]
 ) -> None:
+    _write(tmp_path, "")
     assert_refused(beam_process(tmp_path, *arguments), words)
 
 

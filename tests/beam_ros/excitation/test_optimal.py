@@ -51,6 +51,7 @@ def rig_of(name: str) -> Rig:
 QUICK = ("force",)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=() if name in QUICK else pytest.mark.verify) for name in RIGS]
 )
@@ -98,6 +99,7 @@ def test_theory_is_the_beams_response():
         np.testing.assert_allclose(found, exact.values, rtol=2e-3)
 
 
+@pytest.mark.slow
 def test_the_verb_designs_from_a_stored_model_and_saves_what_a_plan_can_run(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):

@@ -17,6 +17,7 @@ def check(seed: int) -> None:
         assert excursion.beyond < 0.01 * excursion.allowed + 1e-4, (seed, excursion)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("accident", ACCIDENTS)
 def test_a_device_with_wide_limits_stays_within_those_of_the_rig(accident):
     check(len(ACCIDENTS) * 7 + ACCIDENTS.index(accident))

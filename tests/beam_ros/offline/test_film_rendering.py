@@ -57,6 +57,7 @@ def whole_film(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_a_beam_without_dots_is_filmed_followed_and_identified(whole_film: Path, tmp_path: Path) -> None:
     target = tmp_path / "tracked"
     command = ["track", str(whole_film / "film.mkv"), "--into", str(whole_film / "bag"), "--out", str(target)]
@@ -112,6 +113,7 @@ def test_the_strip_is_said_to_be_missing_where_there_is_none(
     assert "at least 12 points" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_shaken_film_of_dots_beside_twins_is_where_its_truth_says(tmp_path: Path) -> None:
     folder = tmp_path / "film"
     faults = ["--shake", "0.4", "--gradient", "0.2", "--texture", "2", "--light-step", "0.8", "--images"]
@@ -131,6 +133,7 @@ def test_a_shaken_film_of_dots_beside_twins_is_where_its_truth_says(tmp_path: Pa
         assert not bag.count("beam/displacement")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rate_hz", [50, 60, 100])
 def test_a_lamp_flickers_at_any_rate_of_the_camera(rate_hz: int) -> None:
     camera, light = packaged_camera(noise_grey=0.0), np.full((480, 640), 100.0, np.float32)
@@ -140,6 +143,7 @@ def test_a_lamp_flickers_at_any_rate_of_the_camera(rate_hz: int) -> None:
     assert (min(levels), max(levels)) == (pytest.approx(80, abs=2), pytest.approx(120, abs=2))
 
 
+@pytest.mark.slow
 def test_faults_are_seen_in_the_pictures(tmp_path: Path) -> None:
     short = ["-p", "excitation.duration:=0.3", "-p", "excitation.still:=0.1"]
     plain, faulty = tmp_path / "plain", tmp_path / "faulty"

@@ -160,6 +160,7 @@ def test_without_a_network_an_update_is_refused_in_one_line_and_what_is_left_cou
     assert not environment.is_ready(**WISH)
 
 
+@pytest.mark.slow
 def test_an_interrupted_set_up_says_so_and_leaves_no_process(
     environment: StampedEnvironment, clone: Path
 ) -> None:

@@ -32,6 +32,7 @@ def folder(outcome: Identification, tmp_path_factory: pytest.TempPathFactory) ->
     return folder
 
 
+@pytest.mark.slow
 def test_everything_lies_beside_the_page(folder: Path, outcome: Identification) -> None:
     assert {path.name for path in folder.iterdir()} == {"report.html", "model.json", "poles.csv", "figures"}
     document = json.loads((folder / "model.json").read_text())
@@ -87,6 +88,7 @@ def test_a_report_is_not_lost_to_another(folder: Path, outcome: Identification) 
     assert (folder / "report.html").read_bytes() == before
 
 
+@pytest.mark.slow
 def test_other_estimators_have_reports_too(bag: Path, tmp_path: Path) -> None:
     found = identification_of_bags(bag, estimator="local_polynomial", n_modes=2)
     files = report_identification(found, tmp_path / "report")

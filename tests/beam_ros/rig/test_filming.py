@@ -87,6 +87,7 @@ def test_a_camera_that_falls_far_behind_loses_frames_and_counts_them() -> None:
     assert film.dropped_frames > 0
 
 
+@pytest.mark.slow
 def test_a_fast_camera_clock_shows_in_rate_and_stamps_and_not_in_what_is_seen() -> None:
     rig = Rig.from_file().with_values({"simulation.camera_clock_ppm": 500.0})
     film = Film(rig, rig.beam_model(), _moving(rig, 1.0), START)
@@ -104,6 +105,7 @@ def test_a_fast_camera_clock_shows_in_rate_and_stamps_and_not_in_what_is_seen() 
     assert np.max(np.abs(seen - expected)) < 2e-11  # a nanosecond at 6 mm/s
 
 
+@pytest.mark.slow
 def test_jitter_is_in_the_stamps_alone_and_lost_frames_are_those_that_the_file_asks_for() -> None:
     def film_of(**values: float) -> tuple[Film, dict[int, float]]:
         rig = Rig.from_file().with_values({f"simulation.{name}": value for name, value in values.items()})

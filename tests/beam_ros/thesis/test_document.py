@@ -69,6 +69,7 @@ def test_every_line_of_the_reference_lists_is_there_once_and_what_data_can_produ
     assert set(DRAWN) - {"Figure 4.4"} == {f"Figure 4.{k}" for k in (1, 2, 3, *range(8, 18))}
 
 
+@pytest.mark.slow
 def test_the_document_has_every_table_and_figure_under_its_number(
     written: tuple[Path, dict[str, Any]],
 ) -> None:

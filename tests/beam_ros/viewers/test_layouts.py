@@ -53,6 +53,7 @@ def seen(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     return {**joint_states(flat), "/hub/state": state}
 
 
+@pytest.mark.slow
 def test_every_curve_of_plotjuggler_is_a_number_of_a_message(seen: dict[str, Any]) -> None:
     # PlotJuggler names a number of a JointState /topic/joint/field.
     there = {

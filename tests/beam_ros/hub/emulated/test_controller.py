@@ -73,6 +73,7 @@ def test_a_clock_whose_rate_changes_by_a_hundredth_is_a_fault(rig):
     rig.until(lambda r: r.status.fault.name == "clock_jumped", 30.0)
 
 
+@pytest.mark.slow
 def test_a_line_that_is_too_slow_for_the_samples_is_a_fault_and_nothing_worse(tmp_path):
     rig = DriverRig(VELOCITY, tmp_path, line_baud=115_200, fifo_bytes=1024)
     try:
@@ -117,6 +118,7 @@ def test_a_line_that_is_just_fast_enough_carries_a_sequence_and_is_never_flooded
         rig.close()
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize(
     ("fault", "name"),
     [

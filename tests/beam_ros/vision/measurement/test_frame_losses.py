@@ -74,7 +74,7 @@ def dropped(kind: str, n: int, rng: np.random.Generator) -> np.ndarray:
     return np.flatnonzero(keep) * PERIOD
 
 
-@pytest.mark.first_case
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["none", "one", "many", "bursts"])
 def test_frames_that_were_dropped_without_a_word_are_found_and_the_rest_gets_its_right_times(
     experiment, kind

@@ -64,6 +64,7 @@ def test_repeated_and_past_frames_are_left_out_until_the_clock_was_plainly_set_b
     assert (chain.clock_steps, chain.continuity.repeated) == (1, 1)
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize(
     ("change", "words"),
     [

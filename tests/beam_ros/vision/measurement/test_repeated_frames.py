@@ -39,6 +39,7 @@ def found_in(places: np.ndarray, is_known: np.ndarray | None = None) -> Repeated
     return find_repeated_frames(np.arange(len(places)) * PERIOD, places, np.full(places.shape, SIGMA), known)
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("is_known", [False, True])
 @pytest.mark.parametrize("way", ["before", "behind"])
 def test_of_frames_that_share_an_image_those_at_another_time_are_found(way: str, is_known: bool) -> None:
@@ -86,6 +87,7 @@ def test_of_images_that_all_come_twice_the_first_ones_stay(is_known: bool) -> No
     assert found.is_wrong[3::2][moves].mean() > 0.9
 
 
+@pytest.mark.slow
 def test_turning_points_rest_and_a_sudden_start_are_no_repeated_images() -> None:
     k = np.arange(500)
     for seed in range(60):

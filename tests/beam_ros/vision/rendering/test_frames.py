@@ -47,6 +47,7 @@ def test_dark_markers_on_a_bright_background():
     assert (u, v) == pytest.approx((float(camera.columns(0.0123)), float(camera.rows(0.1))), abs=4e-3)
 
 
+@pytest.mark.slow
 def test_shot_noise_is_that_of_counted_electrons():
     # A grey level of g is N = g/255 full_well electrons, which vary by sqrt(N): sd 255 sqrt(g/255 / full_well).
     camera = packaged_camera(noise_grey=1.5, background=40.0)

@@ -185,6 +185,7 @@ def test_a_bright_thread_beside_the_strip_does_not_take_it_over(bright):
     assert np.isfinite(u).mean() > 0.7
 
 
+@pytest.mark.slow
 def test_light_that_falls_to_a_third_and_a_dark_frame_are_got_over(bright):
     light = bright.light * np.where(np.arange(N_FRAMES) < 35, 1.0, 0.35)[:, None, None]
     rng = np.random.default_rng(4)
@@ -252,7 +253,7 @@ def test_sixteen_bits_and_a_dark_strip_are_measured_as_well(bright):
     assert np.isfinite(u).mean() > 0.95
 
 
-@pytest.mark.first_case
+@pytest.mark.slow
 @pytest.mark.parametrize("blur_px", [0.35, 0.8])
 def test_the_blur_is_found_for_a_wrong_one_shifts_what_is_sharp_with_its_place_in_the_pixel(blur_px):
     camera = camera_of(200.0, 1.0, 0.6, blur_px=blur_px, exposure_s=1e-4)

@@ -235,7 +235,7 @@ def test_a_smear_that_the_moments_do_not_see_costs_nothing(diameter):
     assert rms(errors - known) < 0.1 * least
 
 
-@pytest.mark.first_case
+@pytest.mark.slow
 @pytest.mark.parametrize("diameter", [6.0, 12.0, 30.0])
 @pytest.mark.parametrize("noise", [1.0, 10.0])
 def test_the_moments_of_a_disc_at_rest_scatter_no_more_than_is_stated(diameter, noise):
@@ -257,6 +257,7 @@ def test_a_rim_of_another_blur_than_expected_costs_nothing_once_some_frames_have
     assert rms(errors / stated) < 1.16
 
 
+@pytest.mark.slow
 def test_shot_noise_is_weighed_and_measured():
     film = Film(12.0, even(0.0))
     errors, _ = film.errors(1.0, 0.4)
