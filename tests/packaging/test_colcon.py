@@ -33,7 +33,8 @@ def workspace(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathF
         assert text.count("0.1.0") == 1
         (source / name).write_text(text.replace("0.1.0", VERSION))
     variables = child_environment({"COLCON_LOG_PATH": str(folder / "log")})
-    variables.pop("PYTHONDONTWRITEBYTECODE", None)  # of which setuptools would warn
+    for name in ("PYTHONDONTWRITEBYTECODE", "AMENT_PREFIX_PATH"):  # of which setuptools and colcon would warn
+        variables.pop(name, None)
     built = subprocess.run(
         [sys.executable, "-m", "colcon", "build", *request.param],
         cwd=folder,
