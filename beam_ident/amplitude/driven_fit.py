@@ -26,7 +26,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import optimize
-from scipy.interpolate import CubicSpline
 
 from beam_ident.amplitude.decay_fit import LINEAR, DecayFit, Law, Start, spread_of
 from beam_ident.amplitude.measured_input import disturbances_of, noisy_band_hz
@@ -371,6 +370,8 @@ class DrivenProblem:
 
         The reference output shows the amplitude itself; each other one has a share of its own in the mode.
         """
+        from scipy.interpolate import CubicSpline  # here: linearity is looked at without it
+
         w, g = _terms(theta[: law.n_terms] * scale, law, self.pole)
         more = math.exp(min(max(float(theta[-1]), -1.0), 1.0))
         size = abs(self._share) * more / self.unit

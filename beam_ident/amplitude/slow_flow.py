@@ -28,7 +28,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline
 
 from beam_ident.arrays import AnyArray, ComplexArray, FloatArray
 
@@ -149,6 +148,8 @@ def slow_flow(
     Runge and Kutta's fourth order over a few hundred steps of the slow motion, Hermite's cubic between them:
     both err by less than 1e-8 of the amplitude where it falls by less than e^20.
     """
+    from scipy.interpolate import CubicHermiteSpline  # here: linearity is looked at without it
+
     end = max(float(elapsed[-1]), 1e-300)
     h = end / _STEPS
     grid = np.linspace(0.0, end, _STEPS + 1)

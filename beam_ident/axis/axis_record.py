@@ -14,13 +14,14 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
-from scipy.signal import cont2discrete, lfilter, savgol_filter
 
 from beam_ident.arrays import BoolArray, FloatArray
 from beam_ident.axis.hub_motion import GridForce
 from beam_ident.data.records import InputSignal, OutputSignal
 from beam_ident.errors import EstimationError
+from beam_ident.numerics.convolution import inner_convolution
 from beam_ident.numerics.piecewise import PiecewisePolynomial
+from beam_ident.numerics.pole_response import phi_functions, recursion
 from beam_ident.sensing.noise_floor import noise_floor
 
 _SHARE_OF_SPEED = 0.01  # of the velocity's rms that the smoothed velocity's noise may have
@@ -154,8 +155,11 @@ class AxisRecord:
         found = np.zeros((len(self.modes), len(knots)))
         for j, (omega, zeta) in enumerate(self.modes):
             drag = 2.0 * zeta * omega
-            b, a, _ = cont2discrete(([drag, omega**2], [1.0, drag, omega**2]), self.period_s, "foh")
-            w = lfilter(np.ravel(b), a, x)
+            # W = Im((2 zeta omega p + omega^2) / (s - p)) / Im p, under lines from knot to knot.
+            pole = omega * complex(-zeta, math.sqrt(1.0 - zeta**2))
+            step, held, ramped = phi_functions(np.array([pole * self.period_s]), 2)
+            pushed = self.period_s * (held * x[:-1] + ramped * np.diff(x))
+            w = ((drag * pole + omega**2) * recursion(step, pushed, 0.0)).imag / pole.imag
             found[j] = omega**2 * (w - x) + drag * np.gradient(w - x, self.period_s)
         return found
 
@@ -179,7 +183,7 @@ class AxisRecord:
         )
         most = max(_NARROWEST, int(_WIDEST * len(even)))
         width = int(min(max(needed, _NARROWEST), most)) | 1
-        velocity = savgol_filter(on_grid, width, 2, deriv=1, delta=step)
+        velocity = _slopes(on_grid, width) / step
         sd = self.noise_sd * math.sqrt(12.0 / width**3) / step
         return np.interp(t, even, velocity), sd, width
 
@@ -293,3 +297,21 @@ def runs(flags: BoolArray) -> list[tuple[int, int]]:
     """Return begin and end of every run of true."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
     return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
+
+
+def _slopes(values: FloatArray, width: int) -> FloatArray:
+    """Return the slopes per sample of the parabolas that fit ``width`` samples about every sample, an odd number.
+
+    At the ends they are those of the first and the last whole window.
+
+    Notes
+    -----
+    Savitzky and Golay, Analytical Chemistry 36 (1964), 1627.
+    """
+    half = width // 2
+    places = np.arange(-half, half + 1.0)
+    bends = np.square(places) - np.mean(np.square(places))  # orthogonal to a line
+    slopes = inner_convolution(values, -places / (places @ places))
+    first, last = (2.0 * float(bends @ own) / (bends @ bends) for own in (values[:width], values[-width:]))
+    before, after = slopes[0] + first * places[:half], slopes[-1] + last * places[half + 1 :]
+    return np.concatenate([before, slopes, after])

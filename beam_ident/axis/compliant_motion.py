@@ -17,10 +17,10 @@ from itertools import pairwise
 
 import numpy as np
 from scipy.linalg import expm, schur
-from scipy.signal import lfilter
 
 from beam_ident.arrays import FloatArray
 from beam_ident.axis.hub_motion import GridForce, Guide
+from beam_ident.numerics.recursions import one_pole
 
 _FIRST_CHUNK, _LONGEST_CHUNK = 2048, 8192  # steps that are looked at together for the next reversal
 _MOST_EVENTS = 8  # within one step: a hub that rattles on rests
@@ -91,7 +91,7 @@ class _Flow:
             for j in range(i + 1, 4):
                 push = push + self._T[i, j] * np.concatenate([y[j : j + 1], found[j, :-1]])
             own = self._T[i, i]
-            found[i] = lfilter([1.0], [1.0, -own], push, zi=[own * y[i]])[0]
+            found[i] = one_pole(own, push, y[i])
         return np.asarray((self._U @ found).real.T)
 
     def series(self, state: FloatArray, push: FloatArray, slope: FloatArray, span: float) -> FloatArray:

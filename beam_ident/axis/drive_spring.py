@@ -16,11 +16,11 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.signal import cont2discrete, lfilter, lfilter_zi
 
 from beam_ident.arrays import FloatArray, IndexArray
 from beam_ident.axis.axis_output_error import AxisOutputError, AxisPoint, MassAndFriction
 from beam_ident.axis.axis_record import AxisRecord, Piece
+from beam_ident.numerics.pole_response import recursion
 
 _SLOWEST = 2.0  # periods in the longest piece, of resonances that are tried
 _FASTEST = 20.0  # rad from knot to knot
@@ -124,13 +124,14 @@ class SpringSearch:
         """Return what W makes of the force that accelerates and of friction, at the stamps."""
         responses = []
         for (record, piece), forces in zip(self._problem.pieces, self._forces, strict=True):
-            system = ([1.0], [1.0, 2.0 * zeta * omega, omega**2])
+            # W = Im(1 / (s - p)) / Im p under forces that are held, from where the first of them has bent the spring.
             # What moves the encoder has acted before: a line to the next force would carry the noise of the position
             # that this force answers.
-            b, a, _ = cont2discrete(system, record.period_s, method="zoh")
-            b = np.ravel(b)[1:]
-            begin = np.outer(forces[:, 0], lfilter_zi(b, a))
-            rows = lfilter(b, a, forces, axis=1, zi=begin)[0]
+            pole = omega * complex(-zeta, math.sqrt(1.0 - zeta**2))
+            step = np.exp(pole * record.period_s)
+            gain = (step - 1.0) / pole
+            states = (recursion(np.array([step]), gain * row, -row[0] / pole)[1:] for row in forces)
+            rows = [state.imag / pole.imag for state in states]
             knots, times = _knots(record, piece), record.times_s[piece.samples]
             responses.append([np.interp(times, knots, row) for row in rows])
         pushed, carried = ([pair[i] for pair in responses] for i in (0, 1))

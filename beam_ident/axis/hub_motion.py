@@ -16,10 +16,10 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.signal import lfilter
 
 from beam_ident.arrays import FloatArray
 from beam_ident.numerics.piecewise import PiecewisePolynomial
+from beam_ident.numerics.recursions import one_pole
 
 _FIRST_CHUNK, _LONGEST_CHUNK = 128, 8192  # steps that are looked at together for the next reversal
 _MOST_EVENTS = 4  # within one step: a mass that rattles on rests
@@ -226,7 +226,7 @@ def _smooth_steps(
     """Return position and velocity after each of ``n`` steps in one direction."""
     decay, v_0, v_1, x_v, x_0, x_1 = flow.gains(force.period_s)
     f_0, f_1 = force.at_start[k : k + n] - resistance, force.slope[k : k + n]
-    after = lfilter([1.0], [1.0, -decay], v_0 * f_0 + v_1 * f_1, zi=[decay * v])[0]
+    after = one_pole(decay, v_0 * f_0 + v_1 * f_1, v)
     before = np.concatenate([[v], after[:-1]])
     return x + np.cumsum(x_v * before + x_0 * f_0 + x_1 * f_1), after
 

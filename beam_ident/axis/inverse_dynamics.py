@@ -20,8 +20,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import binary_erosion
-from scipy.signal import fftconvolve
 
 from beam_ident.arrays import BoolArray, FloatArray, IndexArray
 from beam_ident.axis.axis_output_error import MODAL_MASS, MassAndFriction, shown
@@ -29,6 +27,7 @@ from beam_ident.axis.axis_record import AxisRecord, runs
 from beam_ident.axis.axis_result import AxisTerm
 from beam_ident.errors import EstimationError
 from beam_ident.noise.autoregression import coloured_covariance
+from beam_ident.numerics.convolution import eroded, inner_convolution
 
 _POWER = 4  # of the window (1 - s^2)^4
 _TRIANGLE = np.array([1.0, 10.0, 1.0]) / 12.0  # of a smooth signal at its knots: its mean under a triangle
@@ -193,7 +192,9 @@ def _of_terms(
     left = _windowed(own.force, width)[places] - model
     for modal_mass, reaction in zip(parameters.modal_masses, own.reactions, strict=False):
         left = left + modal_mass * _windowed(reaction, width)[places]
-    velocity = fftconvolve(own.motion.speed, np.ones(width) / width, "same")
+    velocity = inner_convolution(
+        np.pad(own.motion.speed, (width // 2, (width - 1) // 2)), np.ones(width) / width
+    )
     fast = float(np.sqrt(np.mean(np.square(velocity[own.is_moving]))))
     x = own.positions - float(np.mean(own.positions[own.is_moving]))
     signals = {
@@ -217,14 +218,14 @@ def _on_grid(record: AxisRecord, delay_s: float, given: FloatArray | None) -> _E
         moving &= ~((even - delay_s > gap.start_s - period) & (even - delay_s < gap.end_s + period))
     moving &= even - delay_s - period >= record.start_s
     # A triangle reaches to the neighbours, and a mean speed to theirs.
-    moving = binary_erosion(moving, np.ones(5))
+    moving = eroded(moving, 5)
     velocity = np.interp(even, t, record.velocities)
     x = np.interp(even, t, record.positions)
     motion = _motion(x, velocity, period)
     instrument = motion
     if given is not None:
         followed = np.interp(even, t, given)
-        moving &= binary_erosion(np.isfinite(followed), np.ones(5))
+        moving &= eroded(np.isfinite(followed), 5)
         followed = np.where(np.isfinite(followed), followed, 0.0)
         instrument = _motion(followed, np.gradient(followed, period), period)
     at_knots = [np.interp(even, _knots(record), own) for own in record.reactions]
@@ -313,7 +314,7 @@ def _solved(
 
 def _places(own: _Even, width: int) -> IndexArray:
     """Return where windows begin that lie wholly within motion in one direction."""
-    is_whole = fftconvolve(own.is_moving.astype(np.float64), np.ones(width), "valid") > width - 0.5
+    is_whole = inner_convolution(own.is_moving.astype(np.float64), np.ones(width)) > width - 0.5
     places = np.arange(0, len(is_whole), max(1, width // _SPACING))
     return np.asarray(places[is_whole[places]])
 
@@ -334,4 +335,4 @@ def _columns(motion: _Motion, width: int, names: Sequence[str]) -> FloatArray:
 def _windowed(values: FloatArray, width: int) -> FloatArray:
     """Return the means of a signal under a window at every place."""
     window = (1.0 - np.linspace(-1.0, 1.0, width + 2)[1:-1] ** 2) ** _POWER
-    return np.asarray(fftconvolve(values, window / np.sum(window), "valid"))
+    return inner_convolution(values, window / np.sum(window))

@@ -12,13 +12,13 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy.ndimage import median_filter, uniform_filter1d
-from scipy.signal import spectrogram
 from scipy.special import ndtri
 
 from beam_ident.arrays import FloatArray
 from beam_ident.data.gaps import POOR_BRIDGE, Bridge
 from beam_ident.data.records import InputSignal
+from beam_ident.numerics.convolution import running_mean
+from beam_ident.numerics.segment_spectra import segment_spectra
 
 _BELOW, _BEYOND = 0.5, 1.3  # of a band's ends: how far a mode may stand outside
 _MIN_CYCLES = 1.5  # in a record
@@ -91,7 +91,7 @@ def excited_band(drive: InputSignal, differentiations: int, length_s: float, out
     if differentiations:
         # Rounding or noise of a position is white; differentiated it would drown the excitation.
         stands_out = loudest > _ABOVE_FLOOR * np.quantile(loudest, 0.2)
-        stands_out = median_filter(stands_out.astype(np.float64), 9, mode="nearest") > 0.5
+        stands_out = running_mean(stands_out.astype(np.float64), 9) > 0.5  # as most of nine neighbours do
         force_like = np.where(stands_out, force_like, 0.0) if np.any(stands_out) else force_like
     peak = float(np.max(force_like))
     above = frequencies[force_like > _UPPER_SHARE * peak]
@@ -104,10 +104,9 @@ def excited_band(drive: InputSignal, differentiations: int, length_s: float, out
 def _loudest(values: FloatArray, step: float, segment: int) -> tuple[FloatArray, FloatArray]:
     """Return frequencies [Hz], and the largest density that any part of a signal has there."""
     segment = min(segment, len(values))
-    frequencies, _, densities = spectrogram(
-        values, 1.0 / step, window="hann", nperseg=segment, noverlap=segment // 2, detrend="constant"
-    )
-    return frequencies[1:], np.max(_smooth(densities[1:]), axis=1)
+    frequencies, spectra = segment_spectra(values, step, segment)
+    densities = np.square(spectra.real) + np.square(spectra.imag)
+    return frequencies[1:], np.max(running_mean(densities[:, 1:], 5), axis=0)
 
 
 def _mirrored(values: FloatArray, segment: int, is_odd: bool = False) -> FloatArray:
@@ -182,8 +181,3 @@ def _is_still(values: FloatArray, sigma: float) -> bool:
     largest = float(np.max(np.abs(values - np.median(values))))
     is_blow = largest > sigma * float(-ndtri(0.5 * _NOISE_BEYOND / len(values)))
     return bool(np.std(values) < _STILL * sigma) and not is_blow
-
-
-def _smooth(densities: FloatArray) -> FloatArray:
-    """Average every five neighbouring lines."""
-    return np.asarray(uniform_filter1d(densities, 5, axis=0, mode="nearest"))

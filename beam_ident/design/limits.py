@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.signal import lfilter
 
 from beam_ident.arrays import ComplexArray, FloatArray
 from beam_ident.errors import ExcitationError
@@ -23,6 +22,7 @@ from beam_ident.excitation.recipe import Recipe
 from beam_ident.excitation.sampled import AxisLimits
 from beam_ident.modal.model import ModalModel
 from beam_ident.modal.structure import ModalStructure
+from beam_ident.numerics.pole_response import recursion
 
 _RATES = ("mobility", "accelerance")
 
@@ -119,7 +119,7 @@ class LimitedResponse:
             pole = omega * complex(-zeta, math.sqrt(1.0 - zeta**2))
             if pole not in states:
                 step = np.exp(pole * period_s)
-                states[pole] = lfilter([0.0, (step - 1.0) / pole], [1.0, -step], drive.astype(np.complex128))
+                states[pole] = recursion(np.array([step]), (step - 1.0) / pole * drive, 0.0)[:-1]
             x = states[pole]
             if is_second:
                 mode = drive + (pole**2 * x).imag / pole.imag

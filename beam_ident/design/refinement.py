@@ -18,7 +18,6 @@ from collections.abc import Sequence
 
 import numpy as np
 from scipy.optimize import minimize
-from scipy.signal import lfilter
 
 from beam_ident.arrays import ComplexArray, FloatArray, IndexArray
 from beam_ident.design.criteria import Criterion
@@ -28,6 +27,7 @@ from beam_ident.design.spectrum import left_by_input_noise
 from beam_ident.excitation.multisine import ShapedMultisine
 from beam_ident.modal.model import ModalModel
 from beam_ident.modal.structure import ModalStructure
+from beam_ident.numerics.pole_response import recursion
 
 _NORMS = (8, 16, 32, 64)
 _ITERATIONS = 40
@@ -150,12 +150,9 @@ def _pole_responses(pole: complex, drive: FloatArray, period_s: float) -> tuple[
     step = np.exp(pole * period_s)
     gain = (step - 1.0) / pole
     by_gain = (period_s * step - gain) / pole
-    back = [1.0, -step]
-    values = drive.astype(np.complex128)
-    x = lfilter([0.0, gain], back, values)
+    x = recursion(np.array([step]), gain * drive, 0.0)[:-1]
     # x[k+1] = a x[k] + g u[k]: its slope follows the same recursion, driven by a' x[k] + g' u[k].
-    by_pole = lfilter([0.0, 1.0], back, period_s * step * x + by_gain * values)
-    return np.asarray(x), np.asarray(by_pole)
+    return x, recursion(np.array([step]), period_s * step * x + by_gain * drive, 0.0)[:-1]
 
 
 def _maps(model: ModalModel, observation: Observation) -> FloatArray:

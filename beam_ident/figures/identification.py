@@ -23,6 +23,7 @@ from beam_ident.figures.canvas import (
 from beam_ident.figures.response_curves import ResponseCurve
 from beam_ident.modal.identification_result import OutputFit
 from beam_ident.noise.scores import Scores, Whiteness
+from beam_ident.numerics.segment_spectra import segment_spectra
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -117,12 +118,10 @@ def fit_figure(outputs: Fitted, deflection: bool = True) -> Figure:
 
 
 def _density(times_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-    from scipy.signal import welch
-
     steps = np.diff(times_s)
-    rate = 1.0 / float(np.median(steps[steps > 0.0]))
-    frequencies, density = welch(values, rate, nperseg=min(len(values), 512))
-    return frequencies[1:], np.sqrt(density[1:])
+    period = float(np.median(steps[steps > 0.0]))
+    frequencies, spectra = segment_spectra(values, period, min(len(values), 512))
+    return frequencies[1:], np.sqrt(np.mean(np.square(np.abs(spectra[:, 1:])), axis=0))
 
 
 def spectrum_figure(outputs: Fitted, modes_hz: FloatArray) -> Figure:

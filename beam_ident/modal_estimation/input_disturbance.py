@@ -23,7 +23,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.integrate import trapezoid
 from scipy.linalg import block_diag, expm, lapack
 
 from beam_ident.arrays import BoolArray, FloatArray, IndexArray
@@ -33,6 +32,7 @@ from beam_ident.modal.regression import ModalRegression
 from beam_ident.modal.structure import ModalStructure
 from beam_ident.noise.input_noise import Smoothing, input_noise_share, noise_grid
 from beam_ident.numerics.state_recursion import StateRecursion
+from beam_ident.numerics.trapezoid_rule import trapezoid_rule
 
 NEGLIGIBLE_SHARE = 3e-4  # of an output's noise variance: more from the input widens some interval by 4 %
 
@@ -206,11 +206,12 @@ class InputDisturbance:
         period = float(np.median(np.diff(self.drive.times_s)))
         # What passes without a state ends at the low-pass and is taken for white noise of its covariance,
         # q int |c_0 + c_1 s + c_2 s^2|^2 df over both signs of f, the exposure's box included.
-        s = 2j * np.pi * np.linspace(0.0, self.smoothing.cutoff_hz(period), 400)
+        frequencies = np.linspace(0.0, self.smoothing.cutoff_hz(period), 400)
+        s = 2j * np.pi * frequencies
         passed = sum(np.outer(s**k, self._direct[k]) for k in range(3))
-        passed = passed * np.sinc(s.imag[:, None] / (2.0 * np.pi) * self.exposures_s)
+        passed = passed * np.sinc(frequencies[:, None] * self.exposures_s)
         product = np.real(passed[:, :, None] * np.conj(passed[:, None, :]))
-        return np.asarray(2.0 * self.density * trapezoid(product, s.imag / (2.0 * np.pi), axis=0))
+        return np.asarray(2.0 * self.density * trapezoid_rule(product, frequencies))
 
     def filter(
         self, observations: Observations, variances: FloatArray, scatter: FloatArray | None = None
@@ -241,7 +242,7 @@ class InputDisturbance:
         period = float(np.median(np.diff(self.drive.times_s)))
         frequencies = np.linspace(0.0, self.smoothing.cutoff_hz(period), 400)
         exposure = float(np.median(self.exposures_s))
-        return 0.5 / float(trapezoid(np.square(np.sinc(frequencies * exposure)), frequencies))
+        return 0.5 / float(trapezoid_rule(np.square(np.sinc(frequencies * exposure)), frequencies))
 
     def _half_window(self, shortest: float) -> float:
         """Return half a window that ends where the next one begins, 0 where nothing passes at once [s]."""

@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import minimize, minimize_scalar
-from scipy.signal import lfilter
 from scipy.special import chdtri as chi_squared_isf
 
 from beam_ident.arrays import FloatArray
@@ -29,6 +28,7 @@ from beam_ident.modal_estimation.variable_projection import fit_modes
 from beam_ident.modal_identification.fit_tests import SampledFit
 from beam_ident.noise.autoregression import autoregression
 from beam_ident.noise.scores import ScoreTest, Whiteness
+from beam_ident.numerics.convolution import causal_convolution
 from beam_ident.sensing.misfit_causes import misfit_warnings
 
 _LEVEL = 1e-3  # how often an output without a low-pass is looked at, and said to have one
@@ -154,7 +154,8 @@ def likely_low_pass(
 def _explains(before: ModalFit, after: ModalFit) -> bool:
     """Return whether less is left than chance would leave, under noise of the colour of what is left."""
     colour = autoregression(after.residuals[0])
-    powers = [float(np.sum(np.square(lfilter(colour, [1.0], own.residuals[0])))) for own in (before, after)]
+    white = [causal_convolution(colour, own.residuals[0]) for own in (before, after)]
+    powers = [float(np.sum(np.square(own))) for own in white]
     n = len(after.residuals[0])
     return bool(n * math.log(powers[0] / max(powers[1], 1e-300)) > chi_squared_isf(2, _LEVEL))
 

@@ -16,7 +16,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import minimize
-from scipy.signal.windows import tukey
 
 from beam_ident.arrays import ComplexArray, FloatArray
 from beam_ident.data.records import InputSignal
@@ -57,7 +56,7 @@ class Leftover:
         """Return as much of it as is enough, about its mean, without outliers, and faded in and out."""
         left = self.residuals[:_MAX_SAMPLES] - np.mean(self.residuals[:_MAX_SAMPLES])
         left[outliers(left)] = 0.0
-        window = tukey(len(left), _FADED)
+        window = _fade(len(left))
         left *= window / math.sqrt(float(np.mean(np.square(window))))
         return replace(self, times_s=self.times_s[:_MAX_SAMPLES], residuals=left)
 
@@ -127,7 +126,7 @@ def _bent_share(model: ModalModel, own: Leftover, density: FloatArray) -> float:
     drives = own.drive, cubed(own.drive)
     columns = [model.simulate(drive, instants, own.exposure_s)[rows, own.output] for drive in drives]
     scale = np.sqrt(density)
-    faded = [_lines(tukey(len(column), _FADED) * (column - np.mean(column))) / scale for column in columns]
+    faded = [_lines(_fade(len(column)) * (column - np.mean(column))) / scale for column in columns]
     left = _lines(own.residuals) / scale
     basis = np.linalg.qr(np.stack(faded, axis=1))[0]
     return float(np.sum(np.square(np.abs(basis.conj().T @ left))) / np.sum(np.square(np.abs(left))))
@@ -156,3 +155,9 @@ def _spectrum(model: ModalModel, own: Leftover) -> tuple[FloatArray, FloatArray]
         response = model.frequency_response(2.0 * np.pi * hertz).response[:, own.output]
         added += np.square(np.abs(response * seen)) * drive_period / period
     return power, added
+
+
+def _fade(n: int) -> FloatArray:
+    """Return the window that fades n samples in and out, by half of ``_FADED`` each (Tukey's)."""
+    from_end = np.minimum(np.arange(n), np.arange(n)[::-1]) / (0.5 * _FADED * (n - 1))
+    return np.asarray(np.square(np.sin(0.5 * np.pi * np.minimum(from_end, 1.0))))

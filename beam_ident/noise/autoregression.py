@@ -19,9 +19,9 @@ import math
 import numpy as np
 from scipy.fft import fft, ifft, irfft, next_fast_len, rfft
 from scipy.linalg import solve_toeplitz, toeplitz
-from scipy.signal import lfilter
 
 from beam_ident.arrays import ComplexArray, FloatArray
+from beam_ident.numerics.recursions import all_pole
 
 _MAX_ORDER = 40
 _MAX_LINE_ORDER = 30
@@ -105,7 +105,7 @@ class ScoreCovariance:
             self._products = np.zeros_like(self._white)
         self._white += rows @ rows.T
         if len(self._colour) > 1:
-            passed, self._state = lfilter([1.0], self._colour, rows, zi=self._state)
+            passed, self._state = all_pole(self._colour, rows, self._state)
             self._products += passed @ passed.T
 
     @property

@@ -17,7 +17,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import LinAlgError
-from scipy.signal import lfilter
 
 from beam_ident.arrays import BoolArray, FloatArray
 from beam_ident.noise.autoregression import autoregression, score_covariance
@@ -25,6 +24,7 @@ from beam_ident.noise.continuous_noise import ContinuousWhitening, continuous_no
 from beam_ident.noise.heavy_tails import HeavyTails
 from beam_ident.noise.outliers import outliers, spoiling
 from beam_ident.noise.rounding import RoundedNoise
+from beam_ident.numerics.convolution import causal_convolution
 
 _OFF_GRID = 1e-3  # of a period
 _FEW_BREAKS = 0.02  # of the samples: with so few gaps an autoregression knows its neighbours
@@ -103,7 +103,7 @@ class Whitening:
         joined = np.concatenate([memory[0], columns]) if memory else columns
         known = begin - (len(joined) - len(columns))  # number of the first row in ``joined``
         # As if all were one run; a prediction looks back by the order, and that many rows before are in ``joined``.
-        result = np.asarray(lfilter(self.coefficients, [1.0], joined, axis=0))[len(joined) - len(columns) :]
+        result = causal_convolution(self.coefficients, joined, axis=0)[len(joined) - len(columns) :]
         starts, ends = self._starts_and_ends
         for k in range(order):
             # The k-th rows of all runs have k rows before them.

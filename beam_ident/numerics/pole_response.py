@@ -23,10 +23,10 @@ from math import factorial
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from scipy.signal import lfilter
 
 from beam_ident.arrays import ComplexArray, FloatArray, IndexArray
 from beam_ident.numerics.piecewise import Instants, PiecewisePolynomial
+from beam_ident.numerics.recursions import one_pole
 
 _SERIES_RADIUS = 1.0
 _SERIES_TERMS = 17  # 1 / 17! = 3e-15 of the leading term at the edge of the series' disc
@@ -86,9 +86,7 @@ def recursion(factor: ComplexArray, drive: ComplexArray, initial: complex) -> Co
     states = np.empty(n + 1, dtype=np.complex128)
     states[0] = initial
     if factor.size == 1:
-        feedback = complex(factor.ravel()[0])
-        filtered, _ = lfilter([1.0], [1.0, -feedback], drive, zi=np.array([feedback * initial]))
-        states[1:] = filtered
+        states[1:] = one_pole(complex(factor.ravel()[0]), drive, initial)
         return states
     # As many blocks as each has steps, all of them from zero at once: row k holds the k-th step of every block.
     length = max(math.isqrt(n), 1)

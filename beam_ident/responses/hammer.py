@@ -16,7 +16,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
 
 from beam_ident.arrays import ComplexArray, FloatArray
 from beam_ident.data.argument_checks import (
@@ -28,6 +27,7 @@ from beam_ident.data.argument_checks import (
 from beam_ident.data.frequency_record import FrequencyRecord
 from beam_ident.data.records import InputSignal, OutputSignal, TimeRecord
 from beam_ident.errors import EstimationError
+from beam_ident.numerics.convolution import running_mean
 from beam_ident.numerics.piecewise import regular_period
 from beam_ident.responses.doubts import with_doubts
 from beam_ident.responses.steady_periods import changing_warnings
@@ -256,7 +256,7 @@ def _averaged(segments: Sequence[_Segment], share: float) -> _Averaged:
     if n > 1:
         left = np.sum(np.abs(answers - response * force[:, None]) ** 2, axis=0) / (n - 1.0)
         width = min(math.ceil(_FREEDOM * reach / (n - 1.0)), len(lines))
-        variance = uniform_filter1d(left, width, axis=1, mode="nearest") / power
+        variance = running_mean(left, width) / power
         coherence = np.clip(np.abs(cross) ** 2 / (np.sum(np.abs(answers) ** 2, axis=0) * power), 0.0, 1.0)
         freedom = max((n - 1.0) * width / reach, 1.0)
     else:

@@ -12,12 +12,13 @@ from dataclasses import replace
 from typing import Literal
 
 import numpy as np
-from scipy.signal import csd, oaconvolve
 
 from beam_ident.arrays import ComplexArray, FloatArray
 from beam_ident.data.frequency_record import FrequencyRecord
 from beam_ident.data.records import TimeRecord
 from beam_ident.errors import EstimationError
+from beam_ident.numerics.convolution import inner_convolution
+from beam_ident.numerics.segment_spectra import segment_spectra
 from beam_ident.responses.signal_pair import LineEstimate, SignalPair, for_every_output
 from beam_ident.responses.steady_periods import SHARED_BY_HANN, stretch_omegas, stretches
 
@@ -102,9 +103,9 @@ def _spectra(
     first: FloatArray, second: FloatArray, period: float, length: int
 ) -> tuple[FloatArray, ComplexArray]:
     """Return frequencies [Hz] and the cross-spectrum between zero and half the rate, where lines are complex."""
-    frequencies, cross = csd(
-        first, second, fs=1.0 / period, nperseg=length, window="hann", detrend="constant"
-    )
+    frequencies, spectra = segment_spectra(first, period, length)
+    others = spectra if second is first else segment_spectra(second, period, length)[1]
+    cross = np.mean(np.conj(spectra) * others, axis=0)
     inner = slice(1, len(frequencies) - (1 - length % 2))
     return frequencies[inner], cross[inner]
 
@@ -155,7 +156,7 @@ def _left(pair: SignalPair, response: ComplexArray, length: int) -> FloatArray |
     lines[1 : len(response) + 1] = response
     lines[0] = response[0].real  # smooth, so that no offset of its own stands at every sample
     weights = np.roll(np.fft.irfft(lines, length), half)
-    modelled = oaconvolve(pair.drive - np.mean(pair.drive), weights, mode="valid")
+    modelled = inner_convolution(pair.drive - np.mean(pair.drive), weights)
     return np.asarray(pair.output[length - half - 1 :][: len(modelled)] - modelled)
 
 

@@ -15,11 +15,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
 from scipy.special import fdtrc as f_sf
 from scipy.special import stdtrit
 
 from beam_ident.arrays import BoolArray, ComplexArray, FloatArray
+from beam_ident.numerics.convolution import running_mean
 
 _UNSTEADY = 1e-4  # chance that noise alone changes steady periods as much
 _CHANGING = 1e-3  # chance that noise alone changes a response as much
@@ -112,7 +112,7 @@ def changing_warnings(
     weights = np.ones(modelled.shape[1])
     left = answers - modelled
     for _ in range(2):  # the noise is what is left beside the changes as well
-        noise = uniform_filter1d(np.sum(np.abs(left) ** 2, axis=0), width, mode="nearest") / (n - 1)
+        noise = running_mean(np.sum(np.abs(left) ** 2, axis=0), width) / (n - 1)
         weights = 1.0 / shared_lines / np.maximum(noise, floor)
         weights *= np.sum(power, axis=0) > _FAINT * noise
         gains = _Factors.of(both.real, power, weights)

@@ -21,7 +21,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.fft import next_fast_len, rfft
-from scipy.signal import lfilter
 from scipy.special import chdtrc as chi_squared_sf
 
 from beam_ident.arrays import ComplexArray, FloatArray
@@ -29,7 +28,9 @@ from beam_ident.data.records import InputSignal
 from beam_ident.noise.autoregression import autoregression
 from beam_ident.noise.outliers import outliers
 from beam_ident.noise.scores import ScoreTest, are_rounding
+from beam_ident.numerics.convolution import causal_convolution
 from beam_ident.numerics.linear_least_squares import LinearSolution
+from beam_ident.numerics.recursions import one_pole
 
 Part = tuple[FloatArray, FloatArray, FloatArray]  # times [s], modelled, residuals of one record
 _LEVEL = 1e-4  # chance of a false alarm for each kind of cause
@@ -217,7 +218,7 @@ class _Whitened:
         known = left if noise is None else noise
         left, known = _turned(np.stack([left, known], axis=1), turn).T
         colour = autoregression(known)
-        white = left if len(colour) == 1 else lfilter(colour, [1.0], left)[len(colour) - 1 :]
+        white = left if len(colour) == 1 else causal_convolution(colour, left)[len(colour) - 1 :]
         return _Whitened(colour, white, turn)
 
     def column(self, column: FloatArray) -> FloatArray:
@@ -225,7 +226,7 @@ class _Whitened:
         column = _turned(column[:, None], self.turn)[:, 0]
         if len(self.colour) == 1:
             return column
-        return np.asarray(lfilter(self.colour, [1.0], column)[len(self.colour) - 1 :])
+        return causal_convolution(self.colour, column)[len(self.colour) - 1 :]
 
     def products(self, parts: Sequence[Column]) -> tuple[FloatArray, FloatArray, list[int]]:
         """Return the inner products of whitened columns with each other and with residuals, and their numbers.
@@ -243,7 +244,7 @@ class _Whitened:
             widths, rows = [len(own) for own in columns], np.concatenate(columns)
             rows = _turned(rows.T, self.turn).T
             if n_before:
-                rows = lfilter(self.colour, [1.0], rows)[:, n_before:]
+                rows = causal_convolution(self.colour, rows)[:, n_before:]
             if not first:
                 squares, products = np.zeros((len(rows), len(rows))), np.zeros(len(rows))
             squares += rows @ rows.T
@@ -493,7 +494,7 @@ def _slow_parts(times: FloatArray, model: FloatArray) -> dict[str, Column]:
     for share in _CORNERS:
         corner = max(speed / share, 1.0 / (period * len(times)))
         kept = math.exp(-2.0 * math.pi * corner * period)
-        column = np.asarray(lfilter([(1.0 - kept) / corner], [1.0, -kept], model))
+        column = one_pole(kept, (1.0 - kept) / corner * model)
         found[f"slow, {share:g}"] = functools.partial(np.ndarray.__getitem__, column)
     return found
 

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import expm
-from scipy.signal import sosfilt, zpk2sos
 
 from beam_ident.arrays import FloatArray
 from beam_ident.errors import EstimationError
@@ -70,6 +69,8 @@ class SampledController:
         scale : float -- unit of frequency [rad/s]
         references : sequence of ndarray -- one for every record, sampled by the period; from rest
         """
+        from scipy.signal import sosfilt, zpk2sos  # here: it takes longer to load than an estimator
+
         # Controller form of the plant in scaled time, and its exact sampling under the hold.
         system = np.zeros((n + 1, n + 1))
         system[0, :n] = -theta[:n]

@@ -22,7 +22,7 @@ from collections.abc import Sequence
 
 import cv2
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri as chi_squared_isf
 
 from beam_ros.arrays import FloatArray
 from beam_ros.vision.calibration.boards import BoardView
@@ -94,5 +94,5 @@ def is_focal_determined(lens: Lens, covariance: FloatArray, n_views: int) -> boo
     covariance : ndarray, shape (9, 9) -- as of ``lens_covariance``
     n_views : int -- pictures that it comes from
     """
-    bound = np.sqrt(chi2.ppf(1.0 - _CHANCE, _TILTS * n_views))
+    bound = np.sqrt(chi_squared_isf(_TILTS * n_views, _CHANCE))
     return all(bool(0.5 * focal > bound * np.sqrt(covariance[k, k])) for k, focal in enumerate(lens.focal_px))
