@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import pickle
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
 from typing import Any, TypeVar
 
@@ -68,6 +67,8 @@ def map_records(
             f"{function!r} cannot be handed to other processes ({err}); expected a function that can be imported "
             "by its name, or n_workers=1"
         ) from err
+    from concurrent.futures import ProcessPoolExecutor, as_completed  # here: most fits need no other process
+
     with ProcessPoolExecutor(min(n_workers, len(items))) as pool:
         futures = [pool.submit(function, item) for item in items]
         try:

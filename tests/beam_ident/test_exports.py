@@ -13,6 +13,11 @@ import pytest
 
 import beam_ident
 
+ESTIMATORS_LOAD = {"beam_ident", "numpy", "scipy.linalg", "scipy.optimize", "scipy.special", "scipy.fft"}
+"""What all public names together may load, and what these load themselves."""
+NOT_FOR_A_FIT = {"multiprocessing", "asyncio", "concurrent.futures.process", "argparse", "subprocess"}
+"""Modules of Python that are slow to load, and wait for who needs them."""
+
 
 def loaded_after(statement: str) -> set[str]:
     """Modules that a fresh interpreter has loaded after a statement."""
@@ -56,3 +61,14 @@ def test_the_package_itself_loads_no_more_than_its_own_names() -> None:
     loaded = loaded_after("import beam_ident")
     assert {name for name in loaded if name.partition(".")[0] == "beam_ident"} == {"beam_ident"}
     assert not {"numpy", "scipy.signal", "scipy.stats"} & loaded
+
+
+def test_all_estimators_together_load_linear_algebra_and_optimisation_and_nothing_heavier() -> None:
+    # In one interpreter: what any one name loads is among it.
+    first = f"import {', '.join(sorted(ESTIMATORS_LOAD))}; import sys; known = set(sys.modules)"
+    every = "for name in beam_ident.__all__: getattr(beam_ident, name)"
+    loaded = loaded_after(f"{first}\n{every}\nfor name in known - {{'sys'}}: del sys.modules[name]")
+    assert "beam_ident.modal_identification.time_domain" in loaded
+    others = {name for name in loaded if name.partition(".")[0] not in sys.stdlib_module_names}
+    assert {name for name in others if not name.startswith("beam_ident.")} == set()
+    assert not NOT_FOR_A_FIT & loaded
