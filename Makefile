@@ -36,10 +36,12 @@ demo: ## the whole experiment without hardware (ARGS: see `beam demo --help`)
 test: ## the quick tests of all rooms (ARGS: for pytest)
 	@$(SETUP) --extras ros,test -- python -m pytest $(WORKERS) $(ARGS)
 
-test-all: ## all tests: also long fits, real processes and nodes on a private domain, firmware (ARGS: for pytest)
+test-all: ## all tests: also long fits, real processes and nodes, firmware, the compiled tracker (ARGS: for pytest)
 	@$(SETUP) --extras ros,test -- python -m pytest --all $(WORKERS) $(ARGS)
+	@if command -v $(CC) >/dev/null; then $(MAKE) --no-print-directory test-compiled; \
+	else echo "== the compiled tracker: left out, no C compiler on this machine"; fi
 
-verify: ## the figures of the documentation at full length, some two hours
+verify: ## the figures of the documentation at full length, which takes hours
 	@$(SETUP) --extras ros,test,browser -- python -m pytest --verify $(ARGS)
 
 lint: ## style, types, and which room imports which
