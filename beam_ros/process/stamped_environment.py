@@ -23,6 +23,7 @@ from typing import Any
 from beam_ros.errors import InstallationError
 from beam_ros.process import environment as processes
 from beam_ros.process.installation import Installation, alone
+from beam_ros.process.strict_json import strict_json
 
 STAMP = "beam-setup.json"
 
@@ -170,7 +171,7 @@ class StampedEnvironment:
         )
 
     def _write(self, stamp: dict[str, Any]) -> None:
-        (self.venv / STAMP).write_text(json.dumps(stamp, indent=1))
+        (self.venv / STAMP).write_text(strict_json(stamp, indent=1))
 
     def _remove_own(self) -> None:
         """Leave an empty folder where a set-up made an environment; refuse to touch any other."""

@@ -9,13 +9,13 @@ import signal
 import socket
 import subprocess
 import sys
+import sysconfig
 import time
 import uuid
 import venv as venvs
 from pathlib import Path
 from typing import Any
 
-import pip
 import pytest
 
 from beam_ros.errors import InstallationError
@@ -51,7 +51,7 @@ def environment(clone: Path) -> StampedEnvironment:
     made = StampedEnvironment(str(clone), ".venv", "", pytest.fail)
     venvs.create(made.venv, with_pip=False, symlinks=True)
     (site,) = made.venv.glob("lib/python*/site-packages")
-    (site / "pip").symlink_to(Path(pip.__file__).parent)
+    (site / "pip").symlink_to(Path(sysconfig.get_path("purelib")) / "pip")
     (made.scripts / "beam").touch()
     stamp(made)
     return made
