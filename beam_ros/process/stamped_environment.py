@@ -167,7 +167,7 @@ class StampedEnvironment:
             and stamp.get("venv") == str(self.venv)
             and (self.scripts / ("beam.exe" if os.name == "nt" else "beam")).exists()
             and self._python.exists()
-            and os.path.realpath(self._python) == stamp.get("link")
+            and os.path.realpath(self._python) == stamp.get("link", stamp.get("python"))
         )
 
     def _write(self, stamp: dict[str, Any]) -> None:

@@ -151,6 +151,9 @@ def test_what_only_asks_for_less_installs_nothing_and_keeps_what_is_there(
 def test_without_a_network_an_update_is_refused_in_one_line_and_what_is_left_counts_as_unfinished(
     environment: StampedEnvironment, clone: Path
 ) -> None:
+    # As the first version wrote it: with other sources, and without the link, which was the interpreter.
+    old = {name: value for name, value in COMPLETE.items() if name != "link"}
+    (environment.venv / STAMP).write_text(json.dumps({"format": 1, "venv": str(environment.venv)} | old))
     ended = call(clone, "--extras", "docs")
     assert ended.returncode == 2
     assert ended.stderr.count("\n") == 1, ended.stderr
