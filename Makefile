@@ -6,8 +6,8 @@ VENV ?= .venv
 ARGS ?=
 MATRIX ?= 3.10-newest 3.11-newest 3.12-oldest 3.14-newest
 
-# A worker takes a whole file, whose fixtures are made once.
-WORKERS = -n auto --dist loadfile
+# What each takes: tests/workers.py.
+WORKERS = -n auto
 
 SETUP = $(PYTHON) bootstrap.py --venv $(VENV)
 

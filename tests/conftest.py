@@ -11,7 +11,7 @@ import importlib.util
 
 import pytest
 
-pytest_plugins = ["tests.costs"]
+pytest_plugins = ["tests.costs", "tests.workers"]
 
 LIVE_FIXTURES = {"executables", "graph"}
 """A test that asks for one of these starts processes or nodes, and waits for a real clock."""
