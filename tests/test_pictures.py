@@ -13,6 +13,7 @@ PICTURES = ROOT / "docs" / "pictures"
 pytest.importorskip("cv2")
 
 
+@pytest.mark.slow
 def test_the_script_makes_every_picture_and_no_other(tmp_path: Path) -> None:
     made = runpy.run_path(str(ROOT / "docs" / "make_pictures.py"))["make_pictures"](tmp_path)
     assert {path.name for path in made} == {path.name for path in PICTURES.iterdir()}

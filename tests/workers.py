@@ -1,7 +1,7 @@
 """A pytest plug-in: which worker runs what (pytest-xdist).
 
-A file stays in one worker, where its fixtures are made once. Everything that waits for a clock goes to one worker, since
-two rigs at a time would compete for a processor; beside it what has no clock lets the rigs go first.
+A file stays in one worker, where its fixtures are made once. Everything that waits for a clock goes to one worker,
+since two rigs at a time would compete for a processor; beside it what has no clock lets the rigs go first.
 """
 
 from __future__ import annotations

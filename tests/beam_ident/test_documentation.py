@@ -19,6 +19,7 @@ def run_page(name: str) -> dict[str, object]:
     return namespace
 
 
+@pytest.mark.slow
 def test_the_page_on_transfer_functions_runs_from_top_to_bottom(capsys: pytest.CaptureFixture[str]) -> None:
     run_page("transfer-functions.md")
     printed = capsys.readouterr().out
@@ -26,6 +27,7 @@ def test_the_page_on_transfer_functions_runs_from_top_to_bottom(capsys: pytest.C
     assert "ms" in printed
 
 
+@pytest.mark.slow
 def test_the_page_on_identification_runs_from_top_to_bottom(capsys: pytest.CaptureFixture[str]) -> None:
     namespace = run_page("identification.md")
     printed = capsys.readouterr().out

@@ -63,6 +63,7 @@ def test_the_package_itself_loads_no_more_than_its_own_names() -> None:
     assert not {"numpy", "scipy.signal", "scipy.stats"} & loaded
 
 
+@pytest.mark.slow
 def test_all_estimators_together_load_linear_algebra_and_optimisation_and_nothing_heavier() -> None:
     # In one interpreter: what any one name loads is among it.
     first = f"import {', '.join(sorted(ESTIMATORS_LOAD))}; import sys; known = set(sys.modules)"

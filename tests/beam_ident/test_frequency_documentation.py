@@ -38,6 +38,7 @@ def test_the_page_on_modal_analysis_runs_from_top_to_bottom(capsys: pytest.Captu
     assert abs(names["circle"].damping_ratio / 0.017 - 1.0) < 0.05  # type: ignore[attr-defined]
 
 
+@pytest.mark.slow
 def test_the_page_on_amplitude_runs_from_top_to_bottom(capsys: pytest.CaptureFixture[str]) -> None:
     curves = run_page("amplitude.md")["curves"]
     assert "one pole does not describe the decay" in capsys.readouterr().out
@@ -45,6 +46,7 @@ def test_the_page_on_amplitude_runs_from_top_to_bottom(capsys: pytest.CaptureFix
     assert abs(curves.damping_ratio_at(0.02) * 27.6 / (0.11 * 1.4) - 1.0) < 0.02  # type: ignore[attr-defined]
 
 
+@pytest.mark.slow
 def test_the_page_on_the_axis_runs_from_top_to_bottom(capsys: pytest.CaptureFixture[str]) -> None:
     axis = run_page("axis.md")["axis"]
     # The mass, friction and constant force that the page writes down; its steps of 50 us err by far less.

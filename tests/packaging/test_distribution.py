@@ -33,6 +33,7 @@ def archive(tree: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, i
         return {member.name.partition("/")[2]: member.size for member in opened if member.isfile()}
 
 
+@pytest.mark.slow
 def test_the_source_archive_holds_all_that_the_tree_holds(archive: dict[str, int], tree: Path) -> None:
     made = ("beam_ros.egg-info", "docs/api", "dist", "build")
     files = {path.relative_to(tree).as_posix() for path in tree.rglob("*") if path.is_file()}

@@ -58,6 +58,7 @@ def test_machine_code_measures_what_the_source_does() -> None:
     assert found == measured("source", *kinds)
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize(
     ("command", "complaint"),
     [

@@ -47,6 +47,7 @@ def core_only(folder: Path, program: str, *arguments: str) -> subprocess.Complet
     )
 
 
+@pytest.mark.slow
 def test_the_help_of_every_verb_needs_the_pure_core_alone(tmp_path: Path) -> None:
     listed = (
         "from beam_ros.cli.main import VERBS, main\nsys.exit(max(main([verb, '--help']) for verb in VERBS))"

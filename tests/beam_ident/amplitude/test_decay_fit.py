@@ -34,6 +34,7 @@ def test_the_law_is_found_and_its_noise() -> None:
     assert fit.point.omega_terms[1] == pytest.approx(0.01 * OMEGA * (unit / UNIT) ** 2, rel=0.01)
 
 
+@pytest.mark.slow
 def test_stated_deviations_are_the_scatter() -> None:
     weak = Oscillator(hardening=1e-3, quadratic=1e-3)
     estimates, stated = [], []
@@ -47,6 +48,7 @@ def test_stated_deviations_are_the_scatter() -> None:
     assert np.all((ratio > 0.45) & (ratio < 1.7))
 
 
+@pytest.mark.slow
 def test_one_pole_has_two_coefficients_and_costs_more_where_it_is_wrong() -> None:
     problem = DecayProblem([[noisy(STRONG, 2e-5, 1)]], 0)
     fit = problem.fit(problem.start(None))
@@ -56,6 +58,7 @@ def test_one_pole_has_two_coefficients_and_costs_more_where_it_is_wrong() -> Non
     assert alone.cost > fit.cost + 1000.0
 
 
+@pytest.mark.slow
 def test_the_third_harmonic_is_found_with_the_law() -> None:
     """A cubic spring's is w_2 A^2/(12 w_0); an exposure of an eighth of the period takes a fifth of it."""
     t, x = Oscillator(hardening=0.01).swing(15.0, 4000.0)
@@ -69,6 +72,7 @@ def test_the_third_harmonic_is_found_with_the_law() -> None:
         assert fit.point.third == pytest.approx(own[1] / own[0] / 12.0, rel=0.03)
 
 
+@pytest.mark.slow
 def test_derivatives_are_those_of_the_residuals() -> None:
     signal = noisy(STRONG, 2e-5, 1)
     other = OutputSignal("z225", "m", signal.times_s, 0.5 * signal.values[::-1])

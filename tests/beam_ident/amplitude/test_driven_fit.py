@@ -41,6 +41,7 @@ def inside(curves: AmplitudeCurves, oscillator: Oscillator) -> tuple[bool, bool]
     return result[0], result[1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("oscillator", [SOFT, DRY], ids=["soft", "dry"])
 def test_three_levels_give_the_curves_of_the_decay(oscillator: Oscillator) -> None:
     curves = curves_of(oscillator, 1, 3e-5)
@@ -55,6 +56,7 @@ def test_three_levels_give_the_curves_of_the_decay(oscillator: Oscillator) -> No
     assert curves.verdict.startswith("one pole does not describe the data")
 
 
+@pytest.mark.slow
 def test_a_linear_oscillator_has_level_curves() -> None:
     curves = curves_of(Oscillator(zeta=0.01), 3, 1e-4)
     assert curves.is_one_pole
@@ -73,6 +75,7 @@ def model() -> ModalModel:
     return identify(record, n_modes=1).model
 
 
+@pytest.mark.slow
 def test_one_level_alone_is_refused_with_what_would_do() -> None:
     steady = driven_record(Oscillator(zeta=0.05), 2, level=0.2, duration_s=10.0, band_hz=(4.0, 4.0)).between(
         3.0, 9.0

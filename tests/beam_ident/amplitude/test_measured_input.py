@@ -15,6 +15,7 @@ from beam_ident.noise.input_noise import Smoothing
 from tests.beam_ident.amplitude.oscillators import OMEGA, moved_hub
 
 
+@pytest.mark.slow
 def test_noise_counts_where_it_is_stated_and_seen() -> None:
     record = moved_hub(0, 2e-6)
     model = identify(record, n_modes=1).model
@@ -26,6 +27,7 @@ def test_noise_counts_where_it_is_stated_and_seen() -> None:
         assert band_hz is None or 4.4 < band_hz < 50.0
 
 
+@pytest.mark.slow
 def test_a_record_knows_its_own_disturbance() -> None:
     records = [moved_hub(seed, 2e-6) for seed in (0, 1)]
     records[1] = replace(records[1], outputs=records[1].outputs[:1])
@@ -38,6 +40,7 @@ def test_a_record_knows_its_own_disturbance() -> None:
     assert np.all(second[1].rows[:, 1] == -1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("encoder", [2e-6, 2e-5])
 def test_curves_of_a_linear_mode_hold_it_behind_a_noisy_input(encoder: float) -> None:
     held = []

@@ -42,6 +42,7 @@ def test_a_stiff_spring_makes_one_mass_of_two() -> None:
     assert np.max(np.abs(run.drive - run.hub)) < 1.5e-6
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("stiffness", [300.0, 2e4, 4e5])
 def test_turns_and_rests_are_those_of_an_integrator_that_is_stopped_at_each_of_them(stiffness: float) -> None:
     guide = Guide(mass=0.8, viscous_forward=1.5, viscous_backward=0.5, forward=0.9, backward=0.5)

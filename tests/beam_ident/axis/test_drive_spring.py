@@ -20,6 +20,7 @@ def looked(axis: DrivenAxis, is_of_drive: bool, drive_mass: float | None) -> Spr
     return SpringSearch(problem, problem.minimum().state, drive_mass, 1.0).look()
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize(("is_of_drive", "drive_mass"), [(True, None), (True, 20.0), (False, 20.0)])
 def test_the_search_begins_near_the_resonance_of_drive_and_hub(is_of_drive, drive_mass) -> None:
     gains = {} if is_of_drive else {"speed_gain": 8.0, "place_gain": 6.0}

@@ -50,6 +50,7 @@ def test_its_slope_is_that_of_its_cost_where_the_ringing_has_faded() -> None:
     assert first.slope(10.0) == pytest.approx(-3.0 / 10.0, rel=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [21, 26])
 def test_damping_of_a_spring_that_a_servo_shakes_is_not_taken_for_none(seed: int) -> None:
     axis = CompliantAxis(duration_s=8.0, speed=0.2, is_of_drive=True)

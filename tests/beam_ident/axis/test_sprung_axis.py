@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+import pytest
+
 from beam_ident.axis.axis_output_error import MassAndFriction
 from beam_ident.axis.axis_record import AxisRecord
 from beam_ident.axis.inverse_dynamics import NAMES
@@ -23,6 +25,7 @@ def started(damping_ratio: float) -> MassAndFriction:
     )
 
 
+@pytest.mark.slow
 def test_a_spring_that_rings_below_the_noise_is_not_taken_for_one_that_creeps() -> None:
     whole = AXIS.record(1)
     record = AxisRecord(whole.inputs[0], whole.outputs[0])
@@ -38,6 +41,7 @@ def test_a_spring_that_rings_below_the_noise_is_not_taken_for_one_that_creeps() 
     assert abs(best.parameters.resonance / OMEGA - 1.0) < 0.02
 
 
+@pytest.mark.slow
 def test_beginnings_that_are_wrong_lead_no_step_away() -> None:
     # From the smoothed velocities and without ringing, a first step of all parameters ended at 60 times the damping.
     whole = AXIS.record(2)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from beam_ident import InputSignal, LogChirp, OutputSignal, TimeRecord, identify
 from beam_ident.design.precision import Observation, predicted_model, predicted_precision
@@ -47,6 +48,7 @@ def test_twice_the_noise_is_half_the_precision_and_a_mode_beyond_the_excitation_
     assert beyond.zeta_sd[0] < 0.01 * DAMPING_RATIOS[0]
 
 
+@pytest.mark.slow
 def test_noise_on_the_input_counts_as_the_covariance_that_it_gives_the_outputs():
     """Against slopes from differences and a covariance from the response to every sample of the input."""
     model = two_modes()

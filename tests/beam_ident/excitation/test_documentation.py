@@ -13,6 +13,7 @@ from beam_ident.excitation import RECIPES
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "excitation.md"
 
 
+@pytest.mark.slow
 def test_the_code_of_the_page_runs_from_top_to_bottom(capsys: pytest.CaptureFixture[str]) -> None:
     blocks = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), flags=re.DOTALL)
     assert len(blocks) >= 6

@@ -71,6 +71,7 @@ def test_condensed_columns_have_the_lengths_and_angles_of_all_rows(long_and_whol
         )
 
 
+@pytest.mark.slow
 def test_a_fit_in_pieces_is_the_fit_of_the_whole(long_and_whole):
     start = OMEGAS * (1.0 + 1e-3), 1.5 * ZETAS, ClockState()
     priors = Prior(0.0, np.inf), Prior(0.0, 5e-5)

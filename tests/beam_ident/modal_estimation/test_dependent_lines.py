@@ -27,6 +27,7 @@ def under_input_noise(seed: int, size: float = 0.02, own: float = 1e-3) -> Frequ
     return FrequencyRecord(LINES, response, variance, covariance=covariance)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "estimate",
     [

@@ -17,6 +17,7 @@ def case() -> FrictionCase:
     return FrictionCase(chirp=SHORT)
 
 
+@pytest.mark.slow
 def test_one_integrator_and_one_more_pole_find_the_friction_and_the_modes(case):
     for seed in range(2):
         outcome = case.run(seed)
@@ -24,12 +25,14 @@ def test_one_integrator_and_one_more_pole_find_the_friction_and_the_modes(case):
         assert outcome.sd[-1] < 0.01 * case.truth[-1]
 
 
+@pytest.mark.slow
 def test_known_integrators_are_no_real_poles(case):
     poles, sd = case.estimate(3).real_poles()
     assert poles == pytest.approx([-case.truth[-1]], rel=0.02)
     assert sd.shape == (1,)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("viscous_friction", [0.02, 0.4])
 def test_a_rigid_body_without_friction_is_told_apart_from_one_with(viscous_friction):
     case = FrictionCase(viscous_friction, SHORT)

@@ -59,6 +59,7 @@ def test_what_is_known_of_the_clock_is_respected(beam, regression):
         assert abs(place.clock.rate) <= 5.0 * 5e-5 + 1e-4  # one step of the grid beyond the prior's reach
 
 
+@pytest.mark.slow
 def test_a_search_that_began_cycles_away_from_the_latency_is_left_for_the_right_one():
     # The poles bend until a latency 175 ms away explains eight modes without a better crest near by.
     system = unlike_rig(10)

@@ -41,6 +41,7 @@ def test_nothing_is_said_where_noise_hides_the_input_or_periods_repeat():
     assert coarse_delays([periodic], "hub") == {}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("latency", [None, Prior(0.0, 2.0)])
 def test_a_latency_of_seconds_is_found_where_nobody_knew_it(latency):
     model = identify(later(beam_record(1), -1.3), latency=latency).model

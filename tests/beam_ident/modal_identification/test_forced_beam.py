@@ -43,6 +43,7 @@ def test_stamps_are_taken_where_they_are(beam):
     assert np.max(np.abs(z_scores(model, beam.truth))) < 4.0
 
 
+@pytest.mark.slow
 def test_an_unknown_start_with_offset_and_ramp_costs_little(beam):
     record = beam.record(6, 20.0, drift=(20.0, 30.0), start_s=3.0)
     model = identify(record, DRIFTING).model
@@ -55,6 +56,7 @@ def test_an_unknown_start_with_offset_and_ramp_costs_little(beam):
     assert np.all((known.natural_frequency_sd / model.natural_frequency_sd) ** 2 > 0.7)
 
 
+@pytest.mark.slow
 def test_a_late_and_fast_camera_that_drops_frames_is_told_from_the_beam_without_hints(beam):
     found = identify(foreign_clock(beam, 2, 1.0), PLAIN, None, FREE, FREE)
     model = found.model

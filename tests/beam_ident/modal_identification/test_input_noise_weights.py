@@ -13,6 +13,7 @@ from tests.beam_ident.modal_estimation.test_weighted_fit import with_encoder_noi
 from tests.beam_ident.truth import OMEGAS, ZETAS, beam_record
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stated", [20e-6, 0.0])
 def test_an_encoder_with_noise_of_20_um_neither_hides_modes_nor_feigns_any(stated):
     # Behind the first mode the noise makes up 95 % of what residuals hold, and looks like more modes beside it.
@@ -30,6 +31,7 @@ def test_an_encoder_with_noise_of_20_um_neither_hides_modes_nor_feigns_any(state
     assert any(f"Above {found.band.high_hz:.3g} Hz what moves the input" in said for said in found.warnings)
 
 
+@pytest.mark.slow
 def test_residues_are_not_bent_by_noise_that_passes_at_once():
     # Where the filter alone said what noise does to the score, they were: by 3.8 to 5.6 deviations.
     rig = Rig()
@@ -55,11 +57,13 @@ def noisy_hub(seed: int, hum: float = 0.0) -> TimeRecord:
     return TimeRecord((dataclasses.replace(drive, values=values, sigma=4e-6),), tuple(outputs))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [4, 6, 9])
 def test_noise_of_the_hub_that_rings_a_mode_is_no_line(seed):
     assert not any(said.startswith("Misfit") for said in identify(noisy_hub(seed), n_modes=2).warnings)
 
 
+@pytest.mark.slow
 def test_hum_is_named_behind_the_noise_of_the_hub():
     said = " ".join(identify(noisy_hub(4, hum=6e-6), n_modes=2).warnings)
     assert "Misfit of z225: the residuals look like a line at 37.3 Hz" in said

@@ -10,6 +10,7 @@ from benchmarks.ident.many_modes import ManyModes, fit_behind_truth
 from benchmarks.ident.unlike_rig import unlike_rig, unseen_fits
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("seed", "n_outputs"), [(0, 2), (1, 1)])
 def test_a_dozen_close_modes_are_found_although_fits_of_fewer_do_not_converge(seed, n_outputs):
     case = ManyModes(seed, 15.0, n_outputs)

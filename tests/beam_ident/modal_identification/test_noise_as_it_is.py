@@ -38,6 +38,7 @@ def slow_film(films: TwoFilms, seed: int) -> TimeRecord:
     return TimeRecord((films.hub,), tuple(outputs))
 
 
+@pytest.mark.slow
 def test_slow_noise_at_stamps_anywhere_is_weighed_by_its_time_constant(films):
     found = identify(slow_film(films, 1), n_modes=2)
     for output in found.outputs:
@@ -47,6 +48,7 @@ def test_slow_noise_at_stamps_anywhere_is_weighed_by_its_time_constant(films):
     assert np.mean(every**2) < 2.2  # twelve scores
 
 
+@pytest.mark.slow
 def test_every_record_has_noise_of_its_own_colour(films):
     quiet, loud = films.records(3, colour=0.0)[0], films.records(4, colour=0.9)[1]
     found = identify([quiet, loud], n_modes=2)
@@ -56,6 +58,7 @@ def test_every_record_has_noise_of_its_own_colour(films):
     assert np.max(np.abs(scores(films, [quiet, loud]))) < 3.6
 
 
+@pytest.mark.slow
 def test_outliers_cost_modes_no_more_than_their_samples(films):
     clean = films.records(5)[0]
     known, found = identify(clean, n_modes=2).model, identify(spoiled(clean, 0.05, 2e-4), n_modes=2)
@@ -84,6 +87,7 @@ def with_outliers(record: TimeRecord, share: float, size: float, seed: int) -> T
     return dataclasses.replace(record, outputs=tuple(outputs))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("n_modes", [None, 3])
 def test_modes_below_the_outliers_are_found_and_no_output_is_called_late(n_modes):
     # Outliers of 2 mm beside noise of 5 um: least squares sees two modes of three.
@@ -96,6 +100,7 @@ def test_modes_below_the_outliers_are_found_and_no_output_is_called_late(n_modes
     assert any(said.startswith("Outliers: ") for said in result.warnings)
 
 
+@pytest.mark.slow
 def test_outliers_of_outputs_on_one_clock_feign_no_delays():
     model = identify(with_outliers(beam_record(0), 0.05, 1e-4, 0)).model
     assert model.n_modes == 3

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from beam_ident import identify
 from benchmarks.ident.forced_beam import PLAIN
 from benchmarks.ident.six_modes import SixModeBeam
 
 
+@pytest.mark.slow
 def test_six_modes_are_found_and_nothing_but_the_noise_is_left():
     beam = SixModeBeam()
     record, exact = beam.record(3, 40.0), beam.record(3, 40.0, quiet=0.0)

@@ -48,6 +48,7 @@ def assert_both_are_found(found) -> None:
     assert np.max(np.abs(errors)) < 3.6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("share", "n_modes"), [(0.02, 2), (0.06, None)])
 def test_a_drift_that_is_louder_than_a_mode_does_not_hide_it(share, n_modes):
     # With equal weights the search took the drift for a mode of 0.4 Hz, or saw the first mode alone.
@@ -58,6 +59,7 @@ def test_a_drift_that_is_louder_than_a_mode_does_not_hide_it(share, n_modes):
     assert next(own for own in found.orders if own.is_chosen).weighed_by == "slow noise of the outputs"
 
 
+@pytest.mark.slow
 def test_slow_noise_at_stamps_anywhere_hides_no_mode():
     kept = np.sort(np.random.default_rng(1).choice(len(TIMES), 1200, replace=False))
     assert_both_are_found(
@@ -65,11 +67,13 @@ def test_slow_noise_at_stamps_anywhere_hides_no_mode():
     )
 
 
+@pytest.mark.slow
 def test_records_of_unlike_slow_noise_are_searched_together():
     pair = [record(slow(responses(), share, seed)) for share, seed in ((0.05, 9), (0.15, 10))]
     assert_both_are_found(identify(pair, "receptance"))
 
 
+@pytest.mark.slow
 def test_a_drift_alone_is_no_mode():
     rng = np.random.default_rng(5)
     drift = record(slow(1e-3 * rng.standard_normal((len(TIMES), 2)), 0.3, 11))

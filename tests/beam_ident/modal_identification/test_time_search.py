@@ -51,6 +51,7 @@ def test_a_low_pass_behind_which_less_is_seen_is_not_taken():
     assert cost(64, DRIFTING, 2) < cost(64, DRIFTING, 1) + SAME
 
 
+@pytest.mark.slow
 def test_clocks_that_do_not_settle_end_at_the_likeliest_fit_and_are_named():
     terms = ModalStructure("receptance", has_offset=True, has_ramp=True)
     record = hard_record(81, 2)  # y0 is slow by a real pole; each turn moves its clock further

@@ -53,6 +53,7 @@ def found_in(model: ModalModel, residuals: np.ndarray) -> float:
     return unseen_noise(model, [Leftover(j, TIMES, residuals[:, j], 0.0, drive) for j in range(2)])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("own", [0.1, 0.5])
 def test_noise_that_passes_through_the_modes_is_found_with_its_size(model, own):
     found = []
@@ -64,6 +65,7 @@ def test_noise_that_passes_through_the_modes_is_found_with_its_size(model, own):
     assert np.std(found) < 0.2 * SIGMA
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "denominator", [[1.0], [1.0, -0.95], [1.0, -1.8, 0.95]], ids=["white", "slow", "another resonance"]
 )
@@ -82,6 +84,7 @@ def test_what_one_output_alone_leaves_is_none_of_an_input(model):
     assert found_in(model, left) == 0.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [71])
 def test_a_force_whose_noise_nobody_declared_is_weighed_by_it(seed):
     rng, force = noise(seed)

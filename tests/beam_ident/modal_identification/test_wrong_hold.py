@@ -32,6 +32,7 @@ def record(seed: int, unit: str, true_hold: str, stated: str) -> TimeRecord:
     return TimeRecord((InputSignal("shaker", unit, times, drive, stated),), outputs)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("unit", ["N", "m/s^2"])
 @pytest.mark.parametrize(
     ("true_hold", "stated", "remedy"), [("linear", "zoh", "linear or cubic"), ("zoh", "linear", "zoh")]
@@ -49,6 +50,7 @@ def test_a_wrong_hold_costs_half_a_sample_and_is_named(unit, true_hold, stated, 
             assert any(said.endswith(f"Set its hold to {remedy}.") for said in found.warnings)
 
 
+@pytest.mark.slow
 def test_the_right_hold_is_not_doubted():
     right = record(3, "N", "linear", "linear")
     assert not identify(right).warnings

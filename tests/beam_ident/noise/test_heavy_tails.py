@@ -15,6 +15,7 @@ def kept(residuals: np.ndarray) -> np.ndarray:
     return result
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("share", "size"), [(0.01, 20.0), (0.1, 20.0), (0.1, 4.0)])
 def test_the_stated_deviation_of_a_mean_is_the_scatter_of_means(share, size):
     rng = np.random.default_rng(5)
@@ -35,6 +36,7 @@ def test_the_stated_deviation_of_a_mean_is_the_scatter_of_means(share, size):
     assert np.std(means) < 0.062  # 1/sqrt(400) without outliers; least squares has 0.11 to 0.32
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("freedom", [1.0, 4.0, 50.0])
 def test_the_stated_efficiency_is_that_of_gaussian_noise(freedom):
     rng = np.random.default_rng(6)

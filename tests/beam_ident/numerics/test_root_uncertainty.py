@@ -1,10 +1,12 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from beam_ident.numerics.root_uncertainty import root_covariances
 
 
+@pytest.mark.slow
 def test_the_scatter_of_roots_is_that_of_drawn_coefficients():
     polynomial = np.array([1.0, 5.0, 408.0, 416.0, 1600.0])
     sd = np.array([0.01, 0.2, 0.7, 1.5])

@@ -26,6 +26,7 @@ def detuned(trials):
     return Trial("detuned", replace(model, natural_frequencies=1.001 * model.natural_frequencies))
 
 
+@pytest.mark.slow
 def test_records_of_one_beam_agree_and_another_beam_differs(trials, detuned):
     same, other = differences([*trials, detuned])
     assert all(abs(z) < 4.0 for mode in same.modes for z in (mode.frequency_z, mode.damping_z))
@@ -48,6 +49,7 @@ def test_z_is_the_difference_over_both_standard_deviations(trials):
     assert found.frequency_z == pytest.approx(step / sd)
 
 
+@pytest.mark.slow
 def test_modes_that_one_of_two_lacks_are_counted(trials):
     richer = Trial("three", identify(beam_record(2), n_modes=3).model)
     assert differences([trials[0], richer])[0].n_alone == 1
@@ -60,6 +62,7 @@ def test_fewer_than_two_models_and_what_has_no_modes_are_refused(trials):
         differences([trials[0], Trial("odd", object())])
 
 
+@pytest.mark.slow
 def test_the_page_lays_the_models_over_each_other(trials, detuned):
     page = comparison_page("Comparison", [*trials, detuned], {"Software": {"numpy": "1"}})
     text = page.text()

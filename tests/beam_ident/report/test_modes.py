@@ -21,6 +21,7 @@ def unsure():
     return found.model, mode_rows((found.model,))
 
 
+@pytest.mark.slow
 def test_the_parts_add_up_to_what_the_model_states(unsure):
     _, modes = unsure
     for mode in modes:
@@ -29,6 +30,7 @@ def test_the_parts_add_up_to_what_the_model_states(unsure):
         assert of_zeta.together == pytest.approx(mode.zeta_sd, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_what_the_clock_contributes_is_what_another_clock_would_have_changed(unsure):
     model, modes = unsure
     record, off = beam_record(1).select(("z285",)), 2e-6
@@ -39,6 +41,7 @@ def test_what_the_clock_contributes_is_what_another_clock_would_have_changed(uns
         assert budget_of(mode, ErrorSources())[0].clock == pytest.approx(expected, rel=0.05)
 
 
+@pytest.mark.slow
 def test_a_known_clock_takes_no_part():
     model = identify(beam_record(1), n_modes=2, clock_rate=Prior(0.0, 0.0)).model
     of_omega, _ = budget_of(mode_rows((model,))[0], ErrorSources())

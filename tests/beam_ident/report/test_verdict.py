@@ -23,6 +23,7 @@ def unseen(found):
     return Unseen("another", (validate(found.model, beam_record(2)),))
 
 
+@pytest.mark.slow
 def test_a_model_that_predicts_unseen_data_can_be_relied_on(found, unseen):
     verdict = judge(found, [Gate("clock", "passed", "1 us", "below 50 us")], [unseen])
     assert (verdict.tone, verdict.reasons) == ("good", ())

@@ -38,6 +38,7 @@ def struck(noise: float, seed: int = 0) -> TimeRecord:
     )
 
 
+@pytest.mark.slow
 def test_a_noisy_hammer_bends_no_mode():
     # Taken for a force, the noise between the blows moved frequencies by 8 standard deviations, each a hundred times
     # what it is without.

@@ -14,6 +14,7 @@ pytest.importorskip("matplotlib", reason="figures need Matplotlib")
 MODEL = BeamModel(strip(gravity="upright", damping=Damping(ratios=(0.005,))), 4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["modes", "bode", "bode_force", "poles"])
 def test_figures_are_drawn_to_a_file(name: str, tmp_path: Path) -> None:
     figure = {
@@ -44,6 +45,7 @@ def test_every_pole_lies_inside_the_pole_figure() -> None:
             assert all(left - 1e-9 <= value < right for value in line.get_xdata())
 
 
+@pytest.mark.slow
 def test_importing_the_model_brings_no_drawing_library() -> None:
     code = "import sys, beam_model.advice.figures; sys.exit(bool({'matplotlib', 'rclpy'} & set(sys.modules)))"
     assert subprocess.run([sys.executable, "-c", code], check=False, timeout=60).returncode == 0

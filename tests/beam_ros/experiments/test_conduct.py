@@ -141,6 +141,7 @@ def test_interrupted_after_every_step_it_comes_to_the_same_files(
     assert outcome == json.loads((whole / "outcome.json").read_text())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("step", ["record E1-2", "estimate modal from E1-1"])
 def test_interrupted_within_a_step_it_comes_to_the_same_files(
     plan: Plan, whole: Path, tmp_path: Path, step: str

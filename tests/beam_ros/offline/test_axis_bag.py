@@ -32,6 +32,7 @@ CLOSED = {
 }
 
 
+@pytest.mark.slow
 def test_mass_and_friction_of_a_closed_loop_come_back_as_a_rig_file(tmp_path: Path) -> None:
     rig = Rig.from_file().with_values(CLOSED)
     simulate(rig, tmp_path / "bag")

@@ -67,6 +67,7 @@ def test_two_markers_tell_heights_and_scales_all_along_the_beam():
         Perspective.of(replace(whole, provenance={**whole.provenance, "rows_px": [1.0]}), [3e-4] * 3)
 
 
+@pytest.mark.slow
 def test_a_film_from_below_gives_heights_and_displacements_as_one_from_the_front(tmp_path: Path):
     heights = np.linspace(0.0, RIG.beam.length, 61)
     strip = film(40, CAMERA.rows(heights), StripParameters(15.0, 465.0, 80.3, 1.0), CAMERA)

@@ -30,6 +30,7 @@ def test_the_suites_commands_start_with_signals_held_back_and_others_as_they_wer
     assert (scripts / "other").read_text() == other
 
 
+@pytest.mark.slow
 def test_without_ros_the_command_alone_is_started_and_with_it_the_nodes_too() -> None:
     code = (
         "import sys; sys.modules['rclpy'] = None\n"

@@ -18,6 +18,7 @@ def model(outcome: Identification, tmp_path_factory: pytest.TempPathFactory) -> 
     return write_models(outcome, tmp_path_factory.mktemp("stored") / "model.json")
 
 
+@pytest.mark.slow
 def test_a_bag_is_compared_with_a_stored_model_on_page_and_as_json(
     model: Path, second_bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -21,6 +21,7 @@ def test_a_bag_without_images_has_no_film(outcome: Identification, tmp_path: Pat
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_crosses_lie_on_the_markers_in_every_frame(tmp_path: Path) -> None:
     shares: list[float] = []
     found = identification_of_bags(FRAMES)

@@ -45,6 +45,7 @@ def test_everything_lies_beside_the_page(folder: Path, outcome: Identification) 
     assert all("<text" in drawing.read_text() for drawing in drawings)
 
 
+@pytest.mark.slow
 def test_the_page_says_where_everything_comes_from(folder: Path, bag: Path) -> None:
     text = (folder / "report.html").read_text()
     for file in bag.iterdir():
@@ -109,6 +110,7 @@ def test_the_deflection_is_what_the_hub_does_not_explain() -> None:
     assert deflection_of(record) == pytest.approx(0.002, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_curves_over_amplitude_are_drawn_stored_and_judged(tmp_path: Path) -> None:
     """A strip in air: its damping ratio is the steel's, and in proportion to its amplitude the air's."""
     rig = Rig.from_file().with_values(

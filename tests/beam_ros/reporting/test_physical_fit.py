@@ -77,6 +77,7 @@ def test_stiffness_and_damping_come_back(tmp_path: Path) -> None:
     assert "does not explain" not in found.to_text()
 
 
+@pytest.mark.slow
 def test_a_tip_mass_needs_its_prior_and_takes_residues(tmp_path: Path) -> None:
     file = write_model(tmp_path / "model.json", Rig.from_file().with_values(TRUTH))
     with pytest.raises(UsageError, match="tip_mass needs a stated prior"):

@@ -36,6 +36,7 @@ def restarted(path: Path, late_s: float) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_a_camera_that_is_late_by_six_tenths_of_a_second_changes_the_latency_alone(tmp_path: Path) -> None:
     on_time, late = identify_bag(RECORDING), identify_bag(restarted(tmp_path / "late", 0.6))
     assert late["latency_s"] - on_time["latency_s"] == pytest.approx(0.6, abs=2 * on_time["latency_sd_s"])
@@ -48,6 +49,7 @@ def test_a_camera_that_is_late_by_six_tenths_of_a_second_changes_the_latency_alo
     assert not any("late by" in note for note in on_time["notes"])
 
 
+@pytest.mark.slow
 def test_two_cameras_in_namespaces_are_one_fit_with_a_delay_of_its_own_for_each(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

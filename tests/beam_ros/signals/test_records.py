@@ -33,6 +33,7 @@ def outputs(beam: Beam) -> dict[int, SensorOutput]:
     }
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize(
     ("drive_kind", "sensors", "structure"),
     [

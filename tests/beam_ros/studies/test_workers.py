@@ -34,12 +34,14 @@ def test_every_item_has_its_result() -> None:
     assert dict(on_cores(square, range(20), 2)) == {number: number**2 for number in range(20)}
 
 
+@pytest.mark.slow
 def test_what_kills_its_worker_again_and_again_is_given_up_and_nothing_else() -> None:
     found = dict(on_cores(die_at_seven, range(20), 2))
     assert found == {number: None if number == 7 else number for number in range(20)}
     assert MOST_DEATHS > 1
 
 
+@pytest.mark.slow
 def test_what_was_under_way_when_a_worker_was_killed_is_done_again(tmp_path: Path) -> None:
     paths = [tmp_path / str(number) for number in range(3)]
     assert dict(on_cores(die_once, paths, 2)) == {path: path.name for path in paths}

@@ -92,6 +92,7 @@ def test_the_document_has_every_table_and_figure_under_its_number(
     )
 
 
+@pytest.mark.slow
 def test_the_modal_parameters_are_those_of_the_beam(written: tuple[Path, dict[str, Any]]) -> None:
     rows = {row[0]: row[1:] for row in written[1]["tables"]["Table 4.7"]["rows"]}
     for name in (

@@ -22,6 +22,7 @@ BAG = Path(__file__).resolve().parents[4] / "bags" / "chirp_6s"
 BEAM = Path(sys.executable).with_name("beam")
 
 
+@pytest.mark.slow
 def test_ctrl_c_in_the_middle_writes_the_model_so_far_and_says_what_is_missing(tmp_path: Path) -> None:
     ours, theirs = pty.openpty()  # on a terminal, of a size, every phrase of the progress is shown
     fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 120, 0, 0))

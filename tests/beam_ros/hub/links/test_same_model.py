@@ -217,6 +217,7 @@ def _check_same(model: ModalModel, mode: str) -> None:
     np.testing.assert_allclose(model.natural_frequencies, truth[:2], rtol=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("axis", ["trajectory 250 Hz", "odrive"])
 def test_the_same_experiment_gives_the_same_model(axis: str) -> None:
     kind, _, rate = axis.partition(" ")
@@ -225,6 +226,7 @@ def test_the_same_experiment_gives_the_same_model(axis: str) -> None:
     _check_same(model, "acceleration")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", RIGS)
 def test_the_same_experiment_through_the_emulator_gives_the_same_model(mode: str) -> None:
     _check_same(_by_line(_values(mode), mode, 4, _emulator), mode)

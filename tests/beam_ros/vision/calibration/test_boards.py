@@ -83,6 +83,7 @@ POSES = [
 ]
 
 
+@pytest.mark.first_case
 @pytest.mark.parametrize("board", [CHARUCO, GRID], ids=["charuco", "aruco"])
 def test_the_scale_comes_from_boards_with_markers_whole_or_in_part(board):
     sheet = printed(board)
@@ -97,6 +98,7 @@ def test_the_scale_comes_from_boards_with_markers_whole_or_in_part(board):
     )
 
 
+@pytest.mark.slow
 def test_the_lens_has_the_coefficients_that_the_pictures_support_and_their_deviations():
     sheet = printed(CHARUCO)
     frames = [picture(sheet, CHARUCO, *pose, BENT, seed=k) for k, pose in enumerate(POSES)]

@@ -31,6 +31,7 @@ def write_video(path, n_frames=40, codec="FFV1", rate=100.0):
     return np.array(truth)
 
 
+@pytest.mark.slow
 def test_a_video_is_tracked_to_its_truth(tmp_path):
     path = tmp_path / "beam.avi"
     truth = write_video(path)

@@ -47,6 +47,7 @@ def tell_hub(hear, begin_s: float, end_s: float) -> None:
         hear(START_NS + k * 10**6, float(hub_position(k * 1e-3)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("error", "readout_s"), [(0.0, 0.0), (0.04, 0.0), (-0.04, 0.008)])
 def test_markers_that_are_hidden_stay_within_what_is_foretold_of_them(error, readout_s):
     scale, zeros, sigma = -1500.0, np.array([320.0, 327.0, 317.0]), 0.01
@@ -102,6 +103,7 @@ def seen_beside_a_twin(prediction: str) -> tuple[np.ndarray, int]:
     return np.array(errors), int(chain.foretold_frames[2])
 
 
+@pytest.mark.slow
 def test_a_tip_that_was_hidden_with_its_twin_is_told_by_the_model():
     errors, foretold = seen_beside_a_twin("none")
     assert np.isnan(errors[80:]).all()

@@ -13,6 +13,7 @@ def strip() -> FilmedStrip:
     return FilmedStrip()
 
 
+@pytest.mark.slow
 def test_sixty_points_give_the_modes_of_a_beam_without_dots(strip):
     assert len(strip.heights) == 60
     outcome = strip.run(0)
