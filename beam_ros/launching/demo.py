@@ -9,8 +9,8 @@ from __future__ import annotations
 import os
 import sys
 import tempfile
+from collections.abc import Callable
 from contextlib import ExitStack
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -44,7 +44,14 @@ _USUAL_IDENTIFY_S = 90.0
 _LONGEST_START_DELAY_S = 60.0
 
 
-def conduct_demo(rig: Rig, kind: RigKind, folder: Path, *, record_images: bool = False) -> DemoOutcome:
+def conduct_demo(
+    rig: Rig,
+    kind: RigKind,
+    folder: Path,
+    stand_in: Callable[[Rig, Path], dict[str, Any]],
+    *,
+    record_images: bool = False,
+) -> DemoOutcome:
     """Run the experiment and return its outcome.
 
     Parameters
@@ -52,6 +59,7 @@ def conduct_demo(rig: Rig, kind: RigKind, folder: Path, *, record_images: bool =
     rig : Rig -- parameters of the rig and its excitation
     kind : RigKind -- simulated or emulated
     folder : Path -- takes the bag, model.json and report.html
+    stand_in : callable -- given rig and folder, makes the same experiment without nodes and returns its result
     record_images : bool -- record the camera's frames too
 
     Returns
@@ -74,7 +82,12 @@ def conduct_demo(rig: Rig, kind: RigKind, folder: Path, *, record_images: bool =
             _set_aside(folder, attempt)
             raise
 
-    return persist(carry_out, partial(_without_nodes, rig, folder), _tell)
+    def do_without() -> dict[str, Any]:
+        here = rig.with_values(_identifier_for_run(folder))
+        here.write(folder / "rig.yaml")
+        return stand_in(here, folder)
+
+    return persist(carry_out, do_without, _tell)
 
 
 def _tell(failure: Failure, next_step: str) -> None:
@@ -189,21 +202,3 @@ def _end(nodes: NodeGroup, *, but: tuple[str, ...] = ()) -> None:
         raise RigUnavailableError(
             f"a node did not end cleanly: {node_ends(statuses)}; see {nodes.log_folder}"
         )
-
-
-def _without_nodes(rig: Rig, folder: Path) -> dict[str, Any]:
-    """Make the same experiment in the simulator's core, identify it and report it."""
-    from beam_ros.launching.checked_identification import identify_checked
-    from beam_ros.offline.simulation import simulate
-
-    here = rig.with_values(_identifier_for_run(folder))
-    here.write(folder / "rig.yaml")
-    with Progress("simulate", 1.0) as stage:
-        count = simulate(
-            here, folder / "bag", on_progress=lambda done_s, total_s: stage.update(done_s / total_s)
-        )
-        stage.finish(f"{count} messages in {folder / 'bag'}")
-    with Progress("identify", 1.0) as stage:
-        result = identify_checked(here.identifier, lambda phrase, share: stage.update(share, phrase))
-        stage.finish(f"{len(result['modes'])} modes from {', '.join(result['outputs'])}")
-    return result

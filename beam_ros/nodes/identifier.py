@@ -7,12 +7,20 @@ from __future__ import annotations
 
 import contextlib
 import threading
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from beam_ros import messages
 from beam_ros.errors import faults_of_the_user
 from beam_ros.interfaces.rig_parameters import IdentifierSettings
+from beam_ros.process.remote_paths import AnyPath
 from beam_ros.shell.node import RigNode, run_node
+
+if TYPE_CHECKING:
+    from beam_ident.report.gates import Gate
+    from beam_ros.offline.loading.options import FitOptions
 
 _COLLECT_S = 0.1
 _LOAD_AFTER_S = 5.0
@@ -52,11 +60,22 @@ class Identifier(RigNode):
         return response
 
     def _identify(self, settings: IdentifierSettings) -> None:
+        if not settings.report:
+            first = Path(settings.bag.partition(";")[0].strip())
+            settings = replace(settings, report=str(first.with_name(f"{first.name}_identified")))
         try:
             # The estimators take more than a second to load: the node is there, and complains, before.
-            from beam_ros.launching.checked_identification import identify_checked
+            from beam_ros.checks.bag_check import BagCheck, check_bag
+            from beam_ros.reporting.identification import identify_told
 
-            self._outcome = identify_checked(settings, self._on_progress)
+            checks: list[BagCheck] = []
+
+            def check(path: AnyPath, options: FitOptions) -> Sequence[Gate]:
+                checks.append(check_bag(path, None, options))
+                return checks[-1].gates
+
+            outcome = identify_told(settings, progress=self._on_progress, checked=check)
+            self._outcome = {**outcome, "checks": [own.to_dict() for own in checks]}
         except faults_of_the_user() as err:
             self._outcome = {"bag": settings.bag, "error": str(err)}
         except Exception as err:
@@ -81,7 +100,8 @@ class Identifier(RigNode):
 
 def _load_identification(estimator: str) -> None:
     from beam_ident import find_estimator
-    from beam_ros.launching import checked_identification  # noqa: F401
+    from beam_ros.checks import bag_check  # noqa: F401
+    from beam_ros.reporting import identification  # noqa: F401
 
     # Whoever asks for a fit by a name that nobody has is told then.
     with contextlib.suppress(*faults_of_the_user()):

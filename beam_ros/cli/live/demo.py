@@ -15,12 +15,15 @@ from __future__ import annotations
 import argparse
 import time
 from pathlib import Path
+from typing import Any
 
 from beam_ros.cli.options import add_rig_file, read_rig, run_folder
 from beam_ros.interfaces.graph import RigKind
 from beam_ros.process.executables import INTERRUPTED
 from beam_ros.process.interruption import end_with, signals_taken
+from beam_ros.process.progress import Progress
 from beam_ros.process.strict_json import strict_json
+from beam_ros.rig.rig import Rig
 
 BY_THE_CORE = 1
 """Exit status where the report is of the simulator's core, because the nodes could not do it."""
@@ -42,6 +45,27 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="print the result as JSON on stdout")
 
 
+def by_the_core(rig: Rig, folder: Path) -> dict[str, Any]:
+    """Make the experiment in the simulator's core, identify and report it: all of it but the nodes and real time."""
+    from beam_ros.checks.bag_check import check_bag
+    from beam_ros.offline.simulation import simulate
+    from beam_ros.reporting.identification import identify_told
+
+    with Progress("simulate", 1.0) as stage:
+        count = simulate(
+            rig, folder / "bag", on_progress=lambda done_s, total_s: stage.update(done_s / total_s)
+        )
+        stage.finish(f"{count} messages in {folder / 'bag'}")
+    with Progress("identify", 1.0) as stage:
+        result = identify_told(
+            rig.identifier,
+            progress=lambda phrase, share: stage.update(share, phrase),
+            checked=lambda path, options: check_bag(path, None, options).gates,
+        )
+        stage.finish(f"{len(result['modes'])} modes from {', '.join(result['outputs'])}")
+    return result
+
+
 def run(arguments: argparse.Namespace) -> int:
     """Run the verb."""
     rig = read_rig(arguments)
@@ -53,7 +77,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     started = time.monotonic()
     kind = RigKind(arguments.rig)
-    outcome = conduct_demo(rig, kind, folder, record_images=arguments.images)
+    outcome = conduct_demo(rig, kind, folder, by_the_core, record_images=arguments.images)
     status = 0 if outcome.is_by_nodes else BY_THE_CORE
     result = outcome.result
     if arguments.json:

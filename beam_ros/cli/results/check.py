@@ -1,8 +1,8 @@
 """Check a recorded bag before anything is fitted to it: can it be identified, and if not why.
 
-Prints the answer in one line, and below it a table of what was looked at: clocks, stamps, gaps and where they are, samples and markers that are lost,
-saturation, noise, limits, the excited band, and what the record tells of the rig's modes at best. Status 0: it can be
-identified; 1: it cannot; 2: a fault of the user's.
+Prints the answer in one line, and below it a table of what was looked at: clocks, stamps, gaps and where they are,
+samples and markers that are lost, saturation, noise, limits, the excited band, and what the record tells of the rig's
+modes at best. Status 0: it can be identified; 1: it cannot; 2: a fault of the user's.
 """
 
 from __future__ import annotations

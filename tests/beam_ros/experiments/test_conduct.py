@@ -173,6 +173,7 @@ def test_a_fit_that_ctrl_c_has_cut_short_is_not_taken_for_a_finished_step(plan: 
     assert not (tmp_path / "run" / "estimates").exists()
 
 
+@pytest.mark.slow
 def test_killed_again_and_again_the_command_comes_to_the_same_outcome(whole: Path, tmp_path: Path) -> None:
     (tmp_path / "short.yaml").write_text(PLAN)
     folder, kills = tmp_path / "run", 0
@@ -209,6 +210,7 @@ def _finished(folder: Path) -> int:
     return 0 if state is None else len(state.steps)
 
 
+@pytest.mark.slow
 def test_the_outcome_holds_what_was_estimated_and_the_page_shows_it(whole: Path) -> None:
     outcome = json.loads((whole / "outcome.json").read_text())
     frequencies = [[mode["frequency_hz"] for mode in own["modes"]] for own in outcome["estimates"]]

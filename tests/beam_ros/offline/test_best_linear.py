@@ -15,6 +15,8 @@ from beam_ros.offline.loading.experiment import load_experiment
 from beam_ros.offline.simulation import simulate
 from beam_ros.rig.rig import Rig
 
+pytestmark = pytest.mark.slow
+
 RIG = Rig.from_file().with_values(
     {
         "excitation.kind": "multisine",
@@ -40,7 +42,6 @@ def bags(tmp_path_factory) -> list[Path]:
     return [folder / f"b{seed}" for seed in (1, 2)]
 
 
-@pytest.mark.slow
 def test_air_shows_as_odd_distortion_on_the_command_line(bags, tmp_path, capsys):
     arguments = ["identify", *map(str, bags), "--best-linear", "--modes", "1", "--json"]
     arguments += ["--estimator", "local_polynomial"]

@@ -23,6 +23,8 @@ from beam_ros.reporting.identification import deflection_of, format_files, repor
 from beam_ros.reporting.theory import theory_of_rig
 from beam_ros.rig.rig import Rig
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def folder(outcome: Identification, tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -32,7 +34,6 @@ def folder(outcome: Identification, tmp_path_factory: pytest.TempPathFactory) ->
     return folder
 
 
-@pytest.mark.slow
 def test_everything_lies_beside_the_page(folder: Path, outcome: Identification) -> None:
     assert {path.name for path in folder.iterdir()} == {"report.html", "model.json", "poles.csv", "figures"}
     document = json.loads((folder / "model.json").read_text())
@@ -45,7 +46,6 @@ def test_everything_lies_beside_the_page(folder: Path, outcome: Identification) 
     assert all("<text" in drawing.read_text() for drawing in drawings)
 
 
-@pytest.mark.slow
 def test_the_page_says_where_everything_comes_from(folder: Path, bag: Path) -> None:
     text = (folder / "report.html").read_text()
     for file in bag.iterdir():
@@ -89,7 +89,6 @@ def test_a_report_is_not_lost_to_another(folder: Path, outcome: Identification) 
     assert (folder / "report.html").read_bytes() == before
 
 
-@pytest.mark.slow
 def test_other_estimators_have_reports_too(bag: Path, tmp_path: Path) -> None:
     found = identification_of_bags(bag, estimator="local_polynomial", n_modes=2)
     files = report_identification(found, tmp_path / "report")
@@ -110,7 +109,6 @@ def test_the_deflection_is_what_the_hub_does_not_explain() -> None:
     assert deflection_of(record) == pytest.approx(0.002, rel=1e-3)
 
 
-@pytest.mark.slow
 def test_curves_over_amplitude_are_drawn_stored_and_judged(tmp_path: Path) -> None:
     """A strip in air: its damping ratio is the steel's, and in proportion to its amplitude the air's."""
     rig = Rig.from_file().with_values(

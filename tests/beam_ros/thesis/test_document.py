@@ -26,6 +26,8 @@ from beam_ros.thesis.figures import DRAWN, simulation_fit_percent
 from beam_ros.thesis.tables import MADE
 from tests.browser import faults_of_page, open_browser
 
+pytestmark = pytest.mark.slow
+
 pytest.importorskip("cv2")
 
 FIRST_HZ, SECOND_HZ = 4.38394, 28.2619
@@ -69,7 +71,6 @@ def test_every_line_of_the_reference_lists_is_there_once_and_what_data_can_produ
     assert set(DRAWN) - {"Figure 4.4"} == {f"Figure 4.{k}" for k in (1, 2, 3, *range(8, 18))}
 
 
-@pytest.mark.slow
 def test_the_document_has_every_table_and_figure_under_its_number(
     written: tuple[Path, dict[str, Any]],
 ) -> None:
@@ -92,7 +93,6 @@ def test_the_document_has_every_table_and_figure_under_its_number(
     )
 
 
-@pytest.mark.slow
 def test_the_modal_parameters_are_those_of_the_beam(written: tuple[Path, dict[str, Any]]) -> None:
     rows = {row[0]: row[1:] for row in written[1]["tables"]["Table 4.7"]["rows"]}
     for name in (
