@@ -41,7 +41,7 @@ NOT_SHOWN = {
 _IDENTIFY_GUARD_S = 900.0
 """The fit has no real time to keep: this long it may take on a busy computer [s]."""
 _USUAL_IDENTIFY_S = 90.0
-_LONGEST_START_DELAY_S = 60.0
+_MAX_START_DELAY_S = 60.0
 
 
 def conduct_demo(
@@ -127,7 +127,7 @@ def _rig_for_run(
     rig: Rig, kind: RigKind, folder: Path, scratch: Path, attempt: Attempt, *, record_images: bool
 ) -> Rig:
     """Fill in where this run records and reports, and how hub and emulator find each other."""
-    start_delay = min(rig.excitation.start_delay * attempt.patience, _LONGEST_START_DELAY_S)
+    start_delay = min(rig.excitation.start_delay * attempt.patience, _MAX_START_DELAY_S)
     changes: dict[str, Any] = {
         "recorder.path": str((folder / "bag").resolve()),
         "recorder.images": record_images,
