@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.slow  # all of the code is read
+
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("beam_model", "beam_ident", "beam_ros")
 HELP_TEXTS = (
@@ -68,7 +70,6 @@ def names_of(node: ast.AST) -> list[str]:
     return [target.id for target in targets if isinstance(target, ast.Name)]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("pattern", WORDS)
 def test_pages_docstrings_and_messages_are_in_plain_words(pattern: str) -> None:
     found = [place for place, text in texts() if re.search(pattern, text)]
