@@ -65,6 +65,8 @@ def all_pole(coefficients: FloatArray, rows: FloatArray, state: FloatArray) -> t
     filtered : ndarray, shape (n_rows, n)
     state : ndarray, shape (n_rows, order)
     """
+    if not rows.size:  # LAPACK writes where nothing is
+        return rows, state
     n = rows.shape[1]
     band = np.tile(coefficients, (min(n, _BLOCK), 1))
     found = np.empty_like(rows)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.linalg import lapack
 from scipy.signal import lfilter
 
 from beam_ident.numerics.recursions import all_pole, one_pole
@@ -57,3 +58,15 @@ def test_all_pole_goes_on_from_its_state() -> None:
         parts.append(found)
     np.testing.assert_allclose(np.concatenate(parts, axis=1), whole, rtol=1e-12, atol=1e-12)
     np.testing.assert_allclose(state, end, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("shape", [(0, 50), (2, 0)])
+def test_nothing_is_handed_to_lapack_where_there_are_no_samples(
+    shape: tuple[int, int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Of no right sides dtbtrs solves one all the same, in memory that is not the array's.
+    monkeypatch.setattr(lapack, "dtbtrs", None)
+    rows, state = np.empty(shape), np.ones((shape[0], 1))
+    found, after = all_pole(np.array([1.0, -0.5]), rows, state)
+    assert found.shape == shape
+    np.testing.assert_array_equal(after, state)
