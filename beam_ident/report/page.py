@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from beam_ident.errors import ReportError
-from beam_ident.figures.canvas import plain_decades
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -381,6 +380,8 @@ def _box(content: str, label: str, kind: str = "") -> str:
 def _svg(figure: Figure, alt: str) -> str:
     """Return a figure as SVG whose text is text, without a background, with its meaning for a screen reader."""
     from matplotlib import rc_context
+
+    from beam_ident.figures.canvas import plain_decades  # here: a page without figures loads no estimators
 
     plain_decades(figure)
     buffer = io.StringIO()

@@ -2,8 +2,8 @@
 
 On a busy computer the chunks of a sequence may reach the hub when its start stamp is over already. The hub refuses
 them then, because nothing acts on an old stamp, and nothing has moved. So it is handed over anew, with a fresh
-stamp twice as far ahead: whoever asked for the start still waits for the answer. Not without an end: an axis that
-moves long after somebody wanted it is what the rule about old stamps is there against.
+stamp twice as far ahead: the person who asked for the start still waits for the answer. This has an end: the rule
+about old stamps is there against an axis that moves long after somebody wanted it.
 """
 
 from __future__ import annotations

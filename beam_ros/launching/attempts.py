@@ -23,7 +23,7 @@ class Attempt:
     ----------
     number : int -- from 1
     patience : float -- what start lead and limits on waiting are multiplied by
-    has_moved : bool -- the axis had begun to follow the excitation; set by whoever carries the attempt out
+    has_moved : bool -- the axis had begun to follow the excitation; set by the one who carries the attempt out
     circumstances : str -- how busy the computer was, for the one who waits; likewise
     """
 

@@ -16,7 +16,7 @@ pytest.importorskip("cv2")
 PLAN = """
 title: Short, with nodes
 parameters:
-  excitation.start_delay: 1 s
+  excitation.start_delay: 4 s
 recordings:
   E1:
     excitation: {kind: chirp, duration: 4 s, still: 1 s, end_frequency: 45 Hz}
