@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
@@ -15,6 +17,15 @@ __all__ = ["beam", "executables", "graph", "private_ros"]
 
 Ended = subprocess.CompletedProcess[str]
 Beam = Callable[..., Ended]
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _decoders_that_speak() -> None:
+    """Load OpenCV's decoders before a verb keeps them quiet for its process: other tests hear their complaints."""
+    with contextlib.suppress(ImportError):
+        import cv2
+
+        cv2.VideoCapture(os.devnull, cv2.CAP_FFMPEG)
 
 
 @pytest.fixture
