@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 QUICK_S = 2.0
-"""Processor time of a quick test [s]; what needs more belongs to the slow ones (CONTRIBUTING.md)."""
+"""Processor time of a quick test [s], with its share of what the tests of its file set up together."""
 
 _PHASES = ("setup", "call", "teardown")
 _costs: dict[str, dict[str, tuple[float, float]]] = {}
@@ -76,10 +76,25 @@ def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> Non
             numbers = "".join(f"{value:9.1f}" for value in row[1:4])
             terminalreporter.write_line(f"{row[0]:6.0f}{numbers}{row[4]:11.1f}  {name}")
     if not (config.getoption("--all") or config.getoption("--verify")):
-        for test, costs in _costs.items():
-            taken_s = sum(processor_s for _, processor_s in costs.values())
+        for test, taken_s in _shares().items():
             if taken_s > QUICK_S:
                 terminalreporter.write_line(
                     f"{test} took {taken_s:.1f} s of processor time; expected at most {QUICK_S:g} s: "
                     "make it quicker, or mark it slow"
                 )
+
+
+def _shares() -> dict[str, float]:
+    """Return the processor time of each test's own part and its share of its file's fixtures [s]."""
+    files = defaultdict(list)
+    for test in _costs:
+        files[test.partition("::")[0]].append(test)
+    shared_s = {
+        file: sum(_processor_s(test, "setup") + _processor_s(test, "teardown") for test in tests) / len(tests)
+        for file, tests in files.items()
+    }
+    return {test: _processor_s(test, "call") + shared_s[test.partition("::")[0]] for test in _costs}
+
+
+def _processor_s(test: str, phase: str) -> float:
+    return _costs[test].get(phase, (0.0, 0.0))[1]

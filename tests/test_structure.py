@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import ast
+import re
 from functools import cache
 from pathlib import Path
 
@@ -154,7 +154,7 @@ def own_tests(module: Path) -> Path:
 
 def has_function(path: Path) -> bool:
     """Whether a module does anything: names and types alone need no tests."""
-    return any(isinstance(node, ast.FunctionDef) for node in ast.walk(ast.parse(path.read_text())))
+    return re.search(r"^ *(?:async )?def ", path.read_text(), re.M) is not None
 
 
 @cache
@@ -195,7 +195,6 @@ def test_no_two_public_classes_share_a_name() -> None:
     homes: dict[str, list[str]] = {}
     for package in PACKAGES:
         for path in (ROOT / package).rglob("*.py"):
-            for node in ast.parse(path.read_text()).body:
-                if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
-                    homes.setdefault(node.name, []).append(str(path.relative_to(ROOT)))
+            for name in re.findall(r"^class ([A-Za-z]\w*)", path.read_text(), re.M):
+                homes.setdefault(name, []).append(str(path.relative_to(ROOT)))
     assert {name: paths for name, paths in homes.items() if len(paths) > 1} == {}

@@ -28,7 +28,9 @@ def axes_grid(
     """Return a new figure of ``size`` [inch] and its axes, shape (rows, columns), in the house's style."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=size, layout="constrained")
+    from beam_ident.figures.margins import Margins
+
+    figure = Figure(figsize=size, layout=Margins())
     axes = figure.subplots(rows, columns, squeeze=False, **options)
     for axis in axes.ravel():
         axis.grid(True, color="#e5e7eb", linewidth=0.6)

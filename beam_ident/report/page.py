@@ -380,14 +380,18 @@ def _box(content: str, label: str, kind: str = "") -> str:
 def _svg(figure: Figure, alt: str) -> str:
     """Return a figure as SVG whose text is text, without a background, with its meaning for a screen reader."""
     from matplotlib import rc_context
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
 
     from beam_ident.figures.canvas import plain_decades  # here: a page without figures loads no estimators
 
     plain_decades(figure)
+    for patch in (figure.patch, *(axes.patch for axes in figure.axes)):
+        patch.set_facecolor("none")
     buffer = io.StringIO()
     settings = {"svg.hashsalt": "beam_ident", "svg.fonttype": "none", "path.simplify": True}
     with rc_context(settings):
-        figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None})
+        # Figure.savefig draws twice.
+        FigureCanvasSVG(figure).print_svg(buffer, metadata={"Date": None})
     svg = buffer.getvalue()
     svg = svg[svg.index("<svg") :]
     svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)

@@ -21,6 +21,8 @@ from tests.beam_ros.hub.conformance.virtual_line import Firmware, VirtualLine
 from tests.beam_ros.hub.hub_scenes import rest_to_rest
 from tests.firmware.builds import VirtualCore
 
+pytestmark = pytest.mark.slow
+
 LIMITS = protocol.DeviceLimits.of(AxisParameters())
 
 
@@ -76,7 +78,6 @@ def emulated(mode: str) -> EmulatedFirmware:
     return EmulatedFirmware(parameters, RigidPlant(0.8, parameters.period), device, boot_id=5)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("mode", COMMAND_MODES)
 def test_the_core_keeps_the_protocol_in_every_command_mode(mode):
     with VirtualCore(COMMAND_MODES.index(mode)) as core:
@@ -129,7 +130,6 @@ def by_tick(host: Host) -> dict[int, tuple[float, int]]:
     return {b.first_tick + k: (b.applied[k], b.position_counts[k]) for b in batches for k in range(len(b))}
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("mode", ["acceleration", "velocity", "position"])
 @pytest.mark.parametrize("seed", range(6))
 def test_the_core_does_what_the_emulator_does_on_random_commands(mode, seed):
@@ -168,7 +168,6 @@ def test_the_core_does_what_the_emulator_does_on_random_commands(mode, seed):
         assert max(abs(ours[tick][1] - theirs[tick][1]) for tick in shared) <= 1
 
 
-@pytest.mark.slow
 def test_the_core_does_not_drift_from_the_emulator_over_a_long_sequence():
     """The bound that docs/firmware.md gives: nothing; both calculate in the same order."""
     values = np.tile(rest_to_rest(997), 20)
@@ -185,7 +184,6 @@ def test_the_core_does_not_drift_from_the_emulator_over_a_long_sequence():
     assert np.abs(ends[0].velocity_counts - ends[1].velocity_counts).max() <= 2
 
 
-@pytest.mark.slow
 def test_a_forced_hub_is_as_fast_as_the_core_believes():
     """The emulator knows the speed; the core has it from the encoder, and a tick changes it by 5 mm/s."""
     speeds = []

@@ -97,6 +97,32 @@ def test_the_command_that_runs_is_the_workspaces_own(workspace: Path) -> None:
     assert stdout.startswith(f"beam {VERSION}\n")
 
 
+def test_colcon_test_runs_what_make_test_runs(workspace: Path) -> None:
+    def selected(words: list[str], folder: Path) -> list[str]:
+        listed = subprocess.run(
+            [sys.executable, "-m", *words],
+            cwd=folder,
+            env=child_environment({"COLCON_LOG_PATH": str(workspace / "log")}),
+            capture_output=True,
+            text=True,
+            timeout=120,
+            check=False,
+        )
+        assert listed.returncode == 0, listed.stdout + listed.stderr
+        return re.findall(r"\d+/\d+ tests collected \(\d+ deselected\)", listed.stdout)
+
+    by_colcon = [
+        "colcon",
+        "test",
+        "--event-handlers",
+        "console_direct+",
+        "--pytest-args",
+        "--collect-only",
+        "-q",
+    ]
+    assert selected(by_colcon, workspace) == selected(["pytest", "--collect-only", "-q"], ROOT) != []
+
+
 @pytest.mark.ros
 def test_a_node_of_the_workspace_runs_and_ends_on_ctrl_c(workspace: Path) -> None:
     mark = str(workspace)

@@ -107,6 +107,7 @@ def scheduler(tmp_path_factory):
                 process.kill()
 
 
+@pytest.mark.slow
 def test_a_cluster_does_the_same_work_elsewhere(scheduler):
     seen = []
     found = map_records(
@@ -129,6 +130,7 @@ def test_orders_are_selected_on_a_cluster_as_at_home(scheduler):
     assert there.chosen.model.n_poles == here.chosen.model.n_poles == 4
 
 
+@pytest.mark.slow
 def test_a_fault_on_the_cluster_comes_through(scheduler):
     with pytest.raises(ValueError, match="a negative number"):
         map_records(square, [1, -1], scheduler=scheduler)

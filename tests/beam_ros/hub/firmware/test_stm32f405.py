@@ -22,6 +22,8 @@ from tests.beam_ros.hub.hub_scenes import rest_to_rest
 from tests.firmware.builds import built
 from tests.firmware.test_core import Host, emulated, play
 
+pytestmark = pytest.mark.slow
+
 QUICK = ("handshake", "limits", "noise", "homing", "silence_while_running", "sequence", "beyond_limit")
 
 

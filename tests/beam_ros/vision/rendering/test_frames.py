@@ -67,17 +67,17 @@ def test_noise_is_white_of_the_stated_size_at_the_marker_and_elsewhere():
     camera = packaged_camera(noise_grey=4.0)
     renderer = SceneRenderer(camera, [0.1])
     rng = np.random.default_rng(7)
-    frames = np.stack([renderer.render([0.0], rng) for _ in range(300)]).astype(float)
+    frames = np.stack([renderer.render([0.0], rng) for _ in range(100)]).astype(float)
     row, column = round(float(camera.rows(0.1))), round(float(camera.columns(0.0)))
     marker = frames[:, row - 3 : row + 4, column - 3 : column + 4]
     deviation = marker - marker.mean(axis=0)
     expected = np.sqrt(16 + 1 / 12)
-    # 300 frames of 49 px: the sd is known to 0.6 %, a correlation of neighbours to 0.8 %.
-    assert deviation.std(ddof=1) == pytest.approx(expected, rel=0.02)
+    # 100 frames of 49 px: the sd is known to 1 %, the mean of each pixel takes 0.5 % of it, a correlation to 1.5 %.
+    assert deviation.std(ddof=1) == pytest.approx(expected, rel=0.03)
     neighbours = (deviation[:, :, 1:] * deviation[:, :, :-1]).mean() / deviation.var()
     successive = (deviation[1:] * deviation[:-1]).mean() / deviation.var()
-    assert abs(neighbours) < 0.03
-    assert abs(successive) < 0.03
+    assert abs(neighbours) < 0.05
+    assert abs(successive) < 0.05
     assert frames[0, :100, :100].std() == pytest.approx(expected, rel=0.02)
     assert not np.array_equal(frames[0, :100, :100], frames[1, :100, :100])
 
