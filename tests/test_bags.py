@@ -123,7 +123,7 @@ def test_the_drifting_one_has_all_that_is_said_of_it() -> None:
     }
 
 
-@pytest.mark.slow
+@pytest.mark.verify
 def test_the_page_on_clocks_says_what_counting_and_stamping_cost(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(FOLDER.parent)
     names: dict[str, Any] = {}

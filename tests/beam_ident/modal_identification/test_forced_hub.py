@@ -47,12 +47,12 @@ def test_the_set_point_of_a_soft_servo_gives_other_poles(servo):
     set_point = InputSignal("hub", "m", (0.0, 1e-3), servo.set_points, "cubic")
     phrases = []
     model = identify(
-        TimeRecord((set_point,), record.outputs), n_modes=3, progress=lambda phrase, _: phrases.append(phrase)
+        TimeRecord((set_point,), record.outputs), n_modes=1, progress=lambda phrase, _: phrases.append(phrase)
     ).model
-    z = (model.natural_frequencies - servo.truth[:3]) / model.natural_frequency_sd
+    z = (model.natural_frequencies - servo.truth[:1]) / model.natural_frequency_sd
     assert np.max(np.abs(z)) > 10.0
     # Only the first look asks simpler structures and single outputs; the turns of the output's clock do not.
-    assert 5 < phrases.count("looking for mode 1") < 20
+    assert 2 < phrases.count("looking for mode 1") < 8
 
 
 @pytest.mark.slow

@@ -36,7 +36,7 @@ def late(seed: int, delays: Mapping[str, float], rates: Mapping[str, float] | No
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("delay", [3e-3, -20e-3, 30e-6, 80e-3, -0.19, 0.5, -1.2])
+@pytest.mark.parametrize("delay", [30e-6, -20e-3, 80e-3, -1.2])
 def test_a_delay_of_one_output_is_found_and_costs_nothing(delay: float) -> None:
     model = identify(late(1, {"z225": delay})).model
     assert model.n_modes == 3
@@ -193,7 +193,7 @@ def test_a_clock_that_was_left_out_is_not_looked_for_twice() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("drag", "noise"), [(2.0, 1e-6), (2.0, 3e-8), (8.0, 3e-8)])
+@pytest.mark.parametrize(("drag", "noise"), [(2.0, 1e-6), (8.0, 3e-8)])
 def test_what_a_curve_leaves_is_no_crowd_of_modes_and_no_clock(drag: float, noise: float) -> None:
     record = strip_in_air(drag, noise)
     found = identify(record)  # an error, or up to six modes that overlap, where poles were added to the last
