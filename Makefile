@@ -38,7 +38,7 @@ test: ## the quick tests of all rooms (ARGS: for pytest)
 
 test-all: ## all tests: also long fits, real processes and nodes, firmware, the compiled tracker (ARGS: for pytest)
 	@$(SETUP) --extras ros,test -- python -m pytest --all $(WORKERS) $(ARGS)
-	@if command -v $(CC) >/dev/null; then $(MAKE) --no-print-directory test-compiled; \
+	@if command -v $(CC) >/dev/null; then $(MAKE) --no-print-directory test-compiled ARGS=; \
 	else echo "== the compiled tracker: left out, no C compiler on this machine"; fi
 
 verify: ## the figures of the documentation at full length, which takes hours
@@ -72,9 +72,9 @@ compiled: ## a copy of the tree with the tracker as machine code, in build/compi
 	@tar -c --exclude='./.*' --exclude=./build --exclude=./dist --exclude=./runs . | tar -x -C build/compiled
 	@cd build/compiled && $(COMPILED) env BEAM_COMPILE=1 python setup.py -q build_ext --inplace
 
-test-compiled: compiled ## the camera's tests on that machine code (ARGS: for pytest)
+test-compiled: compiled ## the tracker's tests on that machine code (ARGS: for pytest)
 	@cd build/compiled && $(COMPILED) env PYTHONPATH=. python -m pytest $(WORKERS) \
-		tests/beam_ros/vision tests/packaging/test_machine_code.py $(ARGS)
+		tests/beam_ros/vision/tracking tests/packaging/test_machine_code.py $(ARGS)
 
 test-matrix: ## the tests on several Pythons, newest and oldest requirements (MATRIX="3.12-oldest ...")
 	@failed=; tried=; for cell in $(MATRIX); do \

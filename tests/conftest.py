@@ -20,6 +20,7 @@ LIVE_FIXTURES = {"executables", "graph"}
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Offer `--all` and `--verify`."""
     parser.addoption("--all", action="store_true", help="run the slow tests as well (`make test-all`)")
+    parser.addoption("--slow", action="store_true", help="with --all: without the quick ones")
     parser.addoption(
         "--verify", action="store_true", help="run the tests marked `verify`, and only those, at full length"
     )
@@ -44,7 +45,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         if config.getoption("--verify"):
             is_wanted = "verify" in marks
         else:
-            is_wanted = "verify" not in marks and (is_quick or config.getoption("--all"))
+            is_run = not config.getoption("--slow") if is_quick else config.getoption("--all")
+            is_wanted = "verify" not in marks and is_run
         if not is_wanted and not is_named:
             left_out.add(item)
     if left_out:

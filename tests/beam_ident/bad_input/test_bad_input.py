@@ -13,7 +13,6 @@ from tests.beam_ident.bad_input.judgement import judge, sound
 
 ALWAYS = (
     "estimate_transfer_function, auto",
-    "estimate_in_closed_loop",
     "subspace_model",
     "fit_free_decay",
     "fit_frequency_transfer_function",

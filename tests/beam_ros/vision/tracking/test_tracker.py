@@ -227,7 +227,7 @@ def test_a_spot_in_another_light_beside_where_the_others_say_is_no_marker():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("amount", [0.7, 1.0, 1.5])
+@pytest.mark.parametrize("amount", [0.7, 1.5])
 def test_a_camera_that_sharpens_hides_no_marker_but_one_that_a_second_disc_touches(amount):
     camera = packaged_camera(noise_grey=2.0)
     renderer, tracker = make(camera)
@@ -430,9 +430,10 @@ def cross_with_a_twin(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("is_hidden_at_times", [False, True])
-@pytest.mark.parametrize("row_offset_px", [0.0, 9.0])
-@pytest.mark.parametrize("swing_m", [0.0, 0.006])
+@pytest.mark.parametrize(
+    ("row_offset_px", "swing_m", "is_hidden_at_times"),
+    [(0.0, 0.0, False), (0.0, 0.006, True), (9.0, 0.0, True), (9.0, 0.006, False)],
+)
 def test_a_crossing_twin_never_takes_a_marker_over(row_offset_px, swing_m, is_hidden_at_times):
     n_valid, n_wrong, largest = cross_with_a_twin(
         330, 5.0, row_offset_px, swing_m, is_hidden_at_times=is_hidden_at_times
@@ -891,7 +892,7 @@ def test_a_marker_before_a_texture_is_acquired_and_kept(seed):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("start", [0.0, 0.4, 1.3, 2.6])
+@pytest.mark.parametrize("start", [0.0, 1.3])
 def test_a_twin_at_rest_in_the_swing_of_a_marker_is_not_acquired_for_it(start):
     camera = packaged_camera()
     renderer, tracker = make(camera)
@@ -1094,21 +1095,28 @@ def test_what_a_demosaiced_picture_adds_to_the_moments_is_no_second_image(swing_
 
 
 @pytest.mark.first_case
-@pytest.mark.parametrize(("du", "dv"), [(3.0, 0.0), (-4.5, 0.0), (2.5, -2.0)])
-@pytest.mark.parametrize("strength", [0.2, 0.35, 0.5])
-@pytest.mark.parametrize(("first", "swing_px", "noise"), [(40, 0.0, 2.0), (40, 0.0, 5.0), (40, 10.0, 2.0)])
-def test_a_reflection_of_the_picture_over_itself_is_never_valid_but_wrong(
-    du, dv, strength, first, swing_px, noise
-):
+@pytest.mark.parametrize(
+    ("du", "dv", "strength", "swing_px", "noise"),
+    [  # every pair of two of the four
+        (3.0, 0.0, 0.2, 0.0, 2.0),
+        (3.0, 0.0, 0.35, 0.0, 5.0),
+        (3.0, 0.0, 0.5, 10.0, 2.0),
+        (-4.5, 0.0, 0.2, 0.0, 5.0),
+        (-4.5, 0.0, 0.35, 10.0, 2.0),
+        (-4.5, 0.0, 0.5, 0.0, 2.0),
+        (2.5, -2.0, 0.2, 10.0, 2.0),
+        (2.5, -2.0, 0.35, 0.0, 2.0),
+        (2.5, -2.0, 0.5, 0.0, 5.0),
+    ],
+)
+def test_a_reflection_of_the_picture_over_itself_is_never_valid_but_wrong(du, dv, strength, swing_px, noise):
     second = du, dv, strength / (1 + strength)
-    for _, result, truth in film_seen_twice(first, 60, swing_px, noise, second):
+    for _, result, truth in film_seen_twice(40, 60, swing_px, noise, second):
         assert not is_wrong(result, truth)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("du", "strength", "swing_px"), [(3.0, 0.35, 0.0), (3.0, 0.5, 10.0), (-4.5, 0.35, 10.0), (-4.5, 0.5, 0.0)]
-)
+@pytest.mark.parametrize(("du", "strength", "swing_px"), [(3.0, 0.5, 10.0), (-4.5, 0.35, 0.0)])
 def test_a_reflection_from_the_first_frame_on_is_never_valid_but_wrong(du, strength, swing_px):
     second = du, 0.0, strength / (1 + strength)
     for _, result, truth in film_seen_twice(0, 40, swing_px, 2.0, second):
