@@ -213,6 +213,19 @@ HOST_FAULTS = (
     ),
     Fault(83, "host_frozen", "the host's program stood still", "free the host's processors"),
     Fault(84, "never_done", "the controller said `pending` and never more", "restart the controller"),
+    Fault(
+        85,
+        "stop_ignored",
+        "the axis did not come to rest when it was told to",
+        "switch the drive off by hand; then mend the controller's stop",
+        needs_home=True,
+    ),
+    Fault(
+        86,
+        "not_finite",
+        "the controller says what is no number of what it applied",
+        "mend the firmware's telemetry",
+    ),
 )
 
 FAULTS: dict[int, Fault] = {fault.number: fault for fault in (NO_FAULT, *DEVICE_FAULTS, *HOST_FAULTS)}

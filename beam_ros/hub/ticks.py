@@ -51,6 +51,14 @@ class TickBatch:
             np.concatenate([part.efforts for part in parts]),
         )
 
+    def finite_parts(self) -> list[TickBatch]:
+        """Return the runs of ticks of which the device says a number that it applied."""
+        is_finite = np.isfinite(self.applied)
+        if np.all(is_finite):
+            return [self]
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], is_finite, [False]])))
+        return [self[start:end] for start, end in edges.reshape(-1, 2)]
+
     def __getitem__(self, part: slice) -> TickBatch:
         """Return some of the ticks, which must follow each other."""
         return TickBatch(

@@ -34,11 +34,17 @@ class _PendingRequest:
     first_sent_ns: int | None = None
     last_sent_ns: int = 0
     is_acknowledged: bool = False
+    outcome: Outcome | None = None
+
+    @property
+    def is_stop(self) -> bool:
+        """Whether it ends when the axis is seen at rest, and not before."""
+        return self.kind in STOPS
 
     @property
     def interval_ns(self) -> int:
         """After what time it is sent again [ns]."""
-        if self.kind in STOPS:
+        if self.is_stop:
             return STOP_RETRY_NS
         return ASK_AGAIN_NS if self.is_acknowledged else RETRY_NS
 
@@ -65,14 +71,14 @@ class Requests:
             kind: LEISURE_NS + round(1e9 * (home_s if kind == "home" else ramp_s)) for kind in REQUEST_KINDS
         }
         self._newest_id = 0
-        self._closing_id = 0
+        self.closing_id = 0
         self._pending: dict[int, _PendingRequest] = {}
         self._completed: list[tuple[int, Outcome]] = []
 
     @property
     def is_closed(self) -> bool:
-        """Whether the request made by ``begin_close`` has been answered."""
-        return self._closing_id & 0xFFFF not in self._pending
+        """Whether the stop whose end nobody else is told of has ended."""
+        return self.closing_id & 0xFFFF not in self._pending
 
     @property
     def has_completed(self) -> bool:
@@ -84,10 +90,6 @@ class Requests:
         self._newest_id += 1
         self._pending[self._newest_id & 0xFFFF] = _PendingRequest(self._newest_id, kind)
         return self._newest_id
-
-    def begin_close(self) -> None:
-        """Ask for a stop whose end only ``is_closed`` reports."""
-        self._closing_id = self.begin("stop")
 
     def refuse(self, kind: RequestKind, reason: str) -> int:
         """Take a request that nobody can be asked for; return its id."""
@@ -104,11 +106,16 @@ class Requests:
         """Say whether a request of this kind is not answered yet."""
         return any(pending.kind == kind for pending in self._pending.values())
 
-    def due(self, now_ns: int) -> Iterator[tuple[int, RequestKind]]:
+    def due(self, now_ns: int, *, stops_alone: bool = False) -> Iterator[tuple[int, RequestKind]]:
         """Yield number and kind of the requests that are to be sent now; fail those not answered in time."""
         for number, pending in list(self._pending.items()):
+            if stops_alone and not pending.is_stop:
+                continue
             if pending.first_sent_ns is None:
                 pending.first_sent_ns = now_ns
+            elif pending.is_stop:
+                if now_ns - pending.last_sent_ns < pending.interval_ns:
+                    continue
             elif not pending.is_acknowledged and now_ns - pending.first_sent_ns > ANSWER_NS:
                 del self._pending[number]
                 message = f"{pending.kind}: the controller did not answer within {ANSWER_NS * 1e-9:g} s"
@@ -135,12 +142,27 @@ class Requests:
             self._pending[number].is_acknowledged = True
 
     def finish(self, number: int, outcome: Outcome) -> RequestKind | None:
-        """Note how a request ended; return what it was, None where nobody waits for it."""
-        pending = self._pending.pop(number, None)
+        """Note how a request ended, by the device's word; return what it was, None where nobody waits for it.
+
+        A stop that succeeded is kept, and said again, until ``end_stops``.
+        """
+        pending = self._pending.get(number)
         if pending is None:
             return None
-        self._complete(pending, outcome)
+        if pending.is_stop and outcome.success:
+            pending.outcome = outcome
+        else:
+            del self._pending[number]
+            self._complete(pending, outcome)
         return pending.kind
+
+    def end_stops(self, broken: str = "") -> None:
+        """End the stops: the axis is seen at rest, or did something else instead."""
+        for number, pending in list(self._pending.items()):
+            if pending.is_stop:
+                del self._pending[number]
+                kept = pending.outcome or Outcome(True, "the axis rests")
+                self._complete(pending, Outcome(False, f"{pending.kind}: {broken}") if broken else kept)
 
     def drop_stale(self) -> None:
         """Fail what waited unsent for a frozen host, but what stops the axis."""
@@ -170,7 +192,7 @@ class Requests:
         return completed
 
     def _complete(self, pending: _PendingRequest, outcome: Outcome) -> None:
-        if pending.request_id != self._closing_id:
+        if pending.request_id != self.closing_id:
             self._completed.append((pending.request_id, outcome))
 
 

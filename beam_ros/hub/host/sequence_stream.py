@@ -74,12 +74,6 @@ class SequenceStream:
         """Unload the sequence, because the device cannot be reached any more."""
         self._end_early("aborted", reason)
 
-    def abort_unannounced(self, reason: str) -> None:
-        """Unload a sequence that the device does not know yet."""
-        self._gate.abort_loading(reason)
-        if self._transfer is not None and self._transfer.start_device_ns is None:
-            self._end_early("aborted", reason)
-
     def announcement(self, now_ns: int) -> tuple[int, int, int] | None:
         """Return number, start [ns of device time] and samples, where they are to be announced now."""
         transfer = self._transfer

@@ -1,17 +1,22 @@
-"""What the host watches while it is connected, whatever the link: motion, telemetry, status, clock.
+"""What the host watches while it is connected, whatever the link: motion, telemetry, status, clock, its own stops.
 
 The first thing that is wrong becomes the fault. It stays until it is cleared, which needs that its cause is gone.
-From the moment on, the device is asked to stop; where it does not say that the axis rests, the host falls silent, so
-that the device's own watchdog acts.
+From the moment on, the device is told to stop. A stop, whoever wants it, is a promise: until the axis is seen at
+rest, nothing else is said; where it is not at rest in time, the host falls silent, so that the device's own watchdog
+acts.
 """
 
 from __future__ import annotations
 
 import dataclasses
 
+import numpy as np
+
+from beam_ros.arrays import FloatArray
 from beam_ros.hub.contract import Activity, AxisState, HubStatus, Outcome, RequestKind
 from beam_ros.hub.faults import NO_FAULT, Fault, fault
 from beam_ros.hub.host.motion_watch import MotionWatch
+from beam_ros.hub.host.rest_watch import RestWatch
 from beam_ros.hub.journal import Journal
 from beam_ros.hub.parameters import AxisParameters
 from beam_ros.hub.ticks import TickBatch
@@ -21,11 +26,27 @@ MISSING_NS = 400_000_000
 NAP_NS = 20_000_000
 """Between two looks at the clock no more than this counts as waiting: the process may have been put aside."""
 GONE_NS = 250_000_000
-"""A cause that was not seen for so long is gone."""
-ANSWER_NS = 300_000_000
-"""A stop is answered within this time and that of the ramp, or the host falls silent."""
+"""What was not seen for so long is gone."""
+REST_NS = 300_000_000
+"""A stop has acted, and is seen to have acted, within this time and that of the ramp: 50 ms of rest, the batches that
+show it, and a line on which half of the frames are lost."""
+UNANSWERED_NS = 1_000_000_000
+"""A stop of an axis that rests has been answered by then."""
+NO_NUMBERS = 3
+"""So many ticks in a row of which the device says no number are a fault."""
 UNSETTLED_BATCHES = 10
 """The ticks of a change come within so many batches after it was reported."""
+
+
+@dataclasses.dataclass
+class _Stop:
+    """An order to stop; times of waking [ns]."""
+
+    ordered_ns: int
+    rest_by_ns: int
+    is_answered: bool = False
+    is_over: bool = False
+    is_contradicted: bool = False
 
 
 class Supervisor:
@@ -55,7 +76,8 @@ class Supervisor:
         self._journal = journal
         self._motion = MotionWatch(parameters)
         ramp_ns = round(parameters.max_speed / parameters.stop_deceleration * 1e9)
-        self._answer_ns = ANSWER_NS + ramp_ns
+        self._deceleration = parameters.stop_deceleration
+        self._rest = RestWatch(parameters)
         self._silence_ns = (
             round(parameters.watchdog_s * 1e9) + ramp_ns + 2 * parameters.batch_ns + 100_000_000
         )
@@ -68,7 +90,10 @@ class Supervisor:
         self._awake_ns = 0
         self._seen_ns = 0
         self._without: dict[str, int] = {}
-        self._stop_asked_ns: int | None = None
+        self._stop: _Stop | None = None
+        self._broken = ""
+        self._measured_ns = self._told_ns = 0
+        self._n_no_numbers = 0
         self._silent_since_ns: int | None = None
         self._is_stopped = True
 
@@ -81,13 +106,16 @@ class Supervisor:
         self._unsettled = None
         self._without.clear()
         self._motion.forget()
-        self._stop_asked_ns = self._silent_since_ns = None
+        self._rest.forget()
+        self._stop = self._silent_since_ns = None
 
     def look(self, now_ns: int) -> None:
         """Take the time, at least every 20 ms; a process that was put aside did not wait in the meantime."""
         if self._looked_ns is not None:
             self._awake_ns += min(max(0, now_ns - self._looked_ns), NAP_NS)
         self._looked_ns = now_ns
+        if self._stop is not None:
+            self._hold_to(self._stop, now_ns)
 
     def hear(self, kind: str) -> None:
         """Take note of a message: ``telemetry``, ``status`` or ``other``; look for what is missing beside it."""
@@ -100,6 +128,13 @@ class Supervisor:
                 self.report(
                     f"{missing}_stopped", f"no {missing} for {(self._awake_ns - since_ns) * 1e-9:.2f} s"
                 )
+
+    def note_applied(self, applied: FloatArray) -> None:
+        """Take what the device says that it applied, number or not; what is none goes nowhere else."""
+        for is_number in np.isfinite(applied).tolist():
+            self._n_no_numbers = 0 if is_number else self._n_no_numbers + 1
+            if self._n_no_numbers >= NO_NUMBERS:
+                self.report("not_finite", f"{NO_NUMBERS} ticks in a row without a number of what was applied")
 
     def note_ticks(self, ticks: TickBatch, lost: int | None, *, is_homing: bool) -> None:
         """Take ticks.
@@ -115,6 +150,8 @@ class Supervisor:
         """
         if lost is None:
             return
+        self._rest.add(ticks)
+        self._measured_ns = self._awake_ns
         if self._is_homing or is_homing:
             self._motion.forget()
             return
@@ -146,16 +183,73 @@ class Supervisor:
         if is_first or is_homing != self._is_homing or (state == "enabled") > (self._state == "enabled"):
             self._unsettle()
         self._state, self._is_homing = state, is_homing
-        if self.fault is not NO_FAULT and state != "enabled" and activity == "idle":
-            self._is_stopped = True
+        self._told_ns = self._awake_ns
+        if self._stop is not None:
+            self._stop.is_over = state != "enabled" and activity == "idle"
+            is_late = self._awake_ns > self._stop.rest_by_ns
+            self._stop.is_contradicted = is_late and self._stop.is_answered and not self._stop.is_over
+        elif self.fault is not NO_FAULT and state != "enabled" and activity == "idle":
+            self._is_stopped = self._is_stopped or not self._is_seen_moving
 
     def note_done(self, kind: RequestKind | None) -> None:
         """Take note that the device did what it was asked for."""
-        if kind == "stop":
-            self._is_stopped = True
-        elif kind == "home":
+        if kind == "home":
             self.has_lost_home = False
             self._unsettle()
+
+    # Stops --------------------------------------------------------------------------------------------
+
+    def order_stop(self) -> None:
+        """Take note that the device is told to stop from now on."""
+        ramp_ns = round(1e9 * self._rest.speed / self._deceleration)
+        is_over = self._state != "enabled" and not self._is_homing
+        self._stop = _Stop(self._awake_ns, self._awake_ns + ramp_ns + REST_NS, is_over=is_over)
+
+    def note_stop_answered(self) -> None:
+        """Take note that the device says that it has stopped."""
+        if self._stop is not None:
+            self._stop.is_answered = True
+
+    @property
+    def is_stopping(self) -> bool:
+        """Whether nothing but the stop may be said: the axis has not been seen at rest since it was told to stop."""
+        return self._stop is not None
+
+    def end_stop(self) -> bool:
+        """Return whether the stop has acted: the device says so, and nothing that is seen says otherwise."""
+        stop = self._stop
+        if stop is None or not stop.is_answered or self._is_seen_moving:
+            return False
+        if not stop.is_over and self._awake_ns - self._told_ns < GONE_NS:
+            return False
+        self._stop, self._is_stopped = None, True
+        return True
+
+    def take_broken(self) -> str:
+        """Return what the axis did instead of stopping, once; else nothing."""
+        broken, self._broken = self._broken, ""
+        return broken
+
+    @property
+    def _is_seen_moving(self) -> bool:
+        """Whether what was measured shows a motion, and is not too old to say so."""
+        return self._rest.is_moving and self._awake_ns - self._measured_ns < GONE_NS
+
+    def _hold_to(self, stop: _Stop, now_ns: int) -> None:
+        """Look whether a stop has come to its time and the axis not to rest."""
+        waited_s = (self._awake_ns - stop.ordered_ns) * 1e-9
+        if self._awake_ns > stop.rest_by_ns and self._is_seen_moving:
+            seen = f"it moves with {self._rest.speed:.3g} m/s"
+        elif stop.is_contradicted:
+            seen = "the controller says that it is stopped, and that it is enabled or at work"
+        elif self._awake_ns > stop.ordered_ns + UNANSWERED_NS:
+            seen = "the controller did not answer"
+        else:
+            return
+        self._broken = f"the axis did not come to rest within {waited_s:.2f} s after it was told to: {seen}"
+        self.report("stop_ignored", self._broken)
+        self._journal.tell("error", f"{self._broken}: the host falls silent")
+        self._stop, self._silent_since_ns = None, now_ns
 
     def report(self, name: str, reason: str) -> None:
         """Take a fault and what was seen of it."""
@@ -165,34 +259,24 @@ class Supervisor:
             return
         self.fault, self.reason = fault(name), reason
         self._is_stopped = False
-        self._stop_asked_ns = self._silent_since_ns = None
         self._journal.tell(
             "error", f"{self.fault.sentence}: {reason}; the axis is stopped; {self.fault.remedy}"
         )
 
     # What follows -------------------------------------------------------------------------------------
 
-    def is_stop_due(self, now_ns: int) -> bool:
-        """Whether the device is to be asked for a stop now."""
-        if self._is_stopped or self._stop_asked_ns is not None:
-            return False
-        self._stop_asked_ns = now_ns
-        return True
+    @property
+    def is_stop_due(self) -> bool:
+        """Whether the device is to be told to stop now, because of the fault."""
+        return not self._is_stopped and self._stop is None and self._silent_since_ns is None
 
     def must_be_silent(self, now_ns: int) -> bool:
-        """Whether the host falls silent now, because the device did not stop when it was asked to."""
-        if self._is_stopped or self._stop_asked_ns is None:
-            return False
+        """Whether the host is silent now, because the device did not stop when it was told to."""
         if self._silent_since_ns is None:
-            if now_ns - self._stop_asked_ns <= self._answer_ns:
-                return False
-            self._silent_since_ns = now_ns
-            self._journal.tell(
-                "error", "the controller did not stop when it was asked to: the host falls silent"
-            )
+            return False
         if now_ns - self._silent_since_ns <= self._silence_ns:
             return True
-        self._stop_asked_ns = self._silent_since_ns = None
+        self._silent_since_ns = None
         return False
 
     def answer(self, kind: RequestKind, state: AxisState) -> Outcome | None:

@@ -114,11 +114,10 @@ class HubClient:
 
     def request(self, kind: RequestKind) -> int:
         """Ask for a change of state; its number appears in ``HubReport.completed`` when it is over."""
-        if kind in STOPS:
-            self._setpoints.drop()
-            self._stream.abort_unannounced(f"{kind} was asked for")
         if not self._connection.is_in_session:
             return self._requests.refuse(kind, self._connection.reason)
+        if kind in STOPS:
+            return self._stop(kind, f"{kind} was asked for")
         answer = self._supervisor.answer(kind, self._device.state if self._device else "disconnected")
         # What is asked while the connection comes up waits for it; that takes a second.
         return self._requests.begin(kind) if answer is None else self._requests.answer(answer)
@@ -127,9 +126,12 @@ class HubClient:
         """Hand over one set-point in the command mode's unit, stamped [ns, UNIX] by who made it."""
         now_ns = self._host_clock(now).stamp_ns(now.steady_ns)
         status = self._status()
-        outcome = self._gate.check_setpoint(
-            stamp_ns, value, now_ns, status.state, status.position, status.velocity
-        )
+        if self._supervisor.is_stopping:
+            outcome = Outcome(False, "refused: the axis was told to stop and is not yet seen at rest")
+        else:
+            outcome = self._gate.check_setpoint(
+                stamp_ns, value, now_ns, status.state, status.position, status.velocity
+            )
         if outcome.success:
             self._setpoints.take(value, now.steady_ns)
         else:
@@ -175,9 +177,7 @@ class HubClient:
         """Ask the device to stop; from now on polls are not needed for the line to live."""
         self._pulse.is_closing = True
         if self._connection.is_up:
-            self._setpoints.drop()
-            self._stream.abort_unannounced("stop was asked for")
-            self._requests.begin_close()
+            self._requests.closing_id = self._stop("stop", "stop was asked for")
 
     @property
     def is_closed(self) -> bool:
@@ -246,6 +246,8 @@ class HubClient:
         connection = self._connection
         if not connection.is_in_session or connection.must_be_silent or self._pulse.talking_since_ns is None:
             return b""
+        if self._supervisor.is_stopping:
+            return b""
         number = None if self._stream.is_line_taken(now_ns) else self._device_clock.query(now_ns)
         return b"" if number is None else protocol.encode(protocol.ClockQuery(number))
 
@@ -260,11 +262,15 @@ class HubClient:
         for message in self._commands(now_ns):
             is_quiet = False
             yield message
-        if is_quiet and self._pulse.is_heartbeat_due(now_ns):
+        if is_quiet and not self._supervisor.is_stopping and self._pulse.is_heartbeat_due(now_ns):
             yield protocol.Heartbeat()
 
     def _commands(self, now_ns: int) -> Iterator[protocol.Message]:
         if not self._connection.is_up:
+            return
+        if self._supervisor.is_stopping:
+            for request in self._requests.due(now_ns, stops_alone=True):
+                yield protocol.Request(*request)
             return
         setpoint = self._setpoints.due(now_ns, self._device.setpoint_number if self._device else None)
         if setpoint is not None:
@@ -283,13 +289,13 @@ class HubClient:
         """Say whether there is a line to speak on; see to it first that an axis with a fault stops."""
         supervisor = self._supervisor
         supervisor.look(now_ns)
+        if broken := supervisor.take_broken():
+            self._requests.end_stops(broken)
         if not self._connection.is_up:
             return self._connection.state != "down"
-        if supervisor.is_stop_due(now_ns):
-            self._setpoints.drop()
-            self._stream.lose(supervisor.reason)
+        if supervisor.is_stop_due:
             self._requests.withdraw(("enable", "home"), supervisor.reason)
-            self._requests.begin("stop")
+            self._stop("stop", supervisor.reason)
         return not supervisor.must_be_silent(now_ns)
 
     # What is heard ------------------------------------------------------------------------------------
@@ -324,19 +330,26 @@ class HubClient:
             self._requests.acknowledge(reply.number)
         else:
             kind = self._requests.finish(reply.number, Outcome(reply.phase == "success", reply.text))
-            if reply.phase == "success":
+            if reply.phase == "success" and kind in STOPS:
+                self._supervisor.note_stop_answered()
+                self._end_stops()
+            elif reply.phase == "success":
                 self._supervisor.note_done(kind)
 
     def _on_arm_reply(self, reply: protocol.ArmReply, received_ns: int) -> None:
         self._stream.note_answer(reply.number, reply.is_accepted, reply.text, received_ns)
 
     def _on_telemetry(self, telemetry: protocol.Telemetry, received_ns: int) -> None:
-        lost = self._stamping.add(telemetry.ticks, received_ns, self._clock)
-        self._supervisor.note_ticks(telemetry.ticks, lost, is_homing=self._requests.has("home"))
+        self._supervisor.note_applied(telemetry.ticks.applied)
+        for ticks in telemetry.ticks.finite_parts():
+            lost = self._stamping.add(ticks, received_ns, self._clock)
+            self._supervisor.note_ticks(ticks, lost, is_homing=self._requests.has("home"))
+        self._end_stops()
 
     def _on_status(self, status: protocol.Status, received_ns: int) -> None:
         before, self._device = self._device, status
         self._supervisor.note_status(status.state, status.activity, status.tick)
+        self._end_stops()
         was_up = self._connection.is_up
         self._connection.note_status(status, received_ns)
         if self._connection.is_up and not was_up:
@@ -362,6 +375,18 @@ class HubClient:
             self._journal.add(self._gate.note("state", text))
 
     # Inside -------------------------------------------------------------------------------------------
+
+    def _stop(self, kind: RequestKind, reason: str) -> int:
+        """Drop all that is under way; tell the device to stop, and nothing else, until the axis is seen at rest."""
+        self._setpoints.drop()
+        self._gate.abort_loading(reason)
+        self._stream.lose(reason)
+        self._supervisor.order_stop()
+        return self._requests.begin(kind)
+
+    def _end_stops(self) -> None:
+        if self._supervisor.end_stop():
+            self._requests.end_stops()
 
     def _host_clock(self, now: HostTime) -> HostClock:
         if self._clock is None:

@@ -1,0 +1,177 @@
+"""What an order promises is compared with what the axis does: one that does not act is a fault, and silence."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from beam_ros.hub.line import protocol
+from beam_ros.hub.line.framing import FrameDecoder
+from beam_ros.hub.parameters import AxisParameters
+from tests.beam_ros.hub.hub_scenes import LoopbackRig, chunks_of, rest_to_rest
+
+PARAMETERS = AxisParameters()
+VELOCITY = dataclasses.replace(PARAMETERS, command_mode="velocity")
+STOPS = ("stop", "disable")
+
+
+class DeafTo:
+    """A device that ignores some requests, and says what it is told to say of them; notes what else it is sent."""
+
+    def __init__(self, rig: LoopbackRig, answer: str = "", kinds: tuple[str, ...] = STOPS) -> None:
+        self.rig, self.answer, self.kinds = rig, answer, kinds
+        self.asked: list[int] = []
+        self.heard: list[protocol.Message] = []
+        rig.to_device, rig.to_host = self.to_device, self.to_host
+
+    def to_device(self, data: bytes) -> bytes:
+        passed = b""
+        for payload in FrameDecoder().feed(data):
+            message = protocol.decode(payload)
+            if isinstance(message, protocol.Request) and message.kind in self.kinds:
+                self.asked.append(message.number)
+                passed += protocol.encode(
+                    protocol.Heartbeat()
+                )  # it is heard, and keeps the watchdog from acting
+                continue
+            self.heard.append(message)
+            passed += protocol.encode(message)
+        return passed
+
+    def to_host(self, data: bytes) -> bytes:
+        said = [protocol.RequestReply(number, self.answer, "") for number in self.asked if self.answer]
+        self.asked.clear()
+        return data + b"".join(map(protocol.encode, said))
+
+    def sent(self, *kinds: type) -> int:
+        return sum(isinstance(message, kinds) for message in self.heard)
+
+
+def playing(seconds: float = 3.0) -> LoopbackRig:
+    """A rig in the middle of a sequence that moves the hub for a long time."""
+    rig = LoopbackRig(PARAMETERS)
+    rig.connect()
+    rig.enable()
+    for chunk in chunks_of(rest_to_rest(round(1000 * seconds)), rig.now.unix_ns + 300_000_000):
+        rig.hub.load(chunk, rig.now)
+    rig.run(1.0)
+    assert abs(rig.firmware.axis.velocity) > 0.01
+    return rig
+
+
+@pytest.mark.parametrize("kind", STOPS)
+@pytest.mark.parametrize("answer", ["", "success", "pending"])
+def test_a_stop_that_the_device_ignores_is_a_fault_a_false_answer_and_silence(kind, answer):
+    rig = playing()
+    deaf = DeafTo(rig, answer)
+    ordered_ns, speed = rig.steady_ns, abs(rig.firmware.axis.velocity)
+    outcome = rig.ask(kind)
+    waited_s = (rig.steady_ns - ordered_ns) * 1e-9
+    # The ramp, 0.3 s, and a few batches of 20 ms until it is seen.
+    assert waited_s <= speed / PARAMETERS.stop_deceleration + 0.3 + 0.1
+    assert not outcome.success
+    assert "did not come to rest" in outcome.message
+    assert deaf.sent(protocol.Samples, protocol.Setpoint, protocol.Arm) == 0
+    # Its watchdog does what it was told: the host is silent, so that the axis stands a watchdog's time later.
+    n_heard = len(deaf.heard)
+    reports = rig.run(PARAMETERS.watchdog_s + 0.1)
+    assert len(deaf.heard) == n_heard
+    assert (rig.firmware.axis.state, rig.firmware.axis.velocity) == ("homed", 0.0)
+    status = reports[-1].status
+    assert (status.state, status.fault.name) == ("fault", "stop_ignored")
+
+
+@pytest.mark.parametrize("answer", ["", "success", "pending"])
+def test_set_points_are_refused_while_the_axis_comes_to_rest_and_none_is_sent(answer):
+    rig = LoopbackRig(VELOCITY)
+    rig.connect()
+    rig.enable()
+    for _ in range(10):
+        rig.hub.setpoint(rig.now.unix_ns, 0.02, rig.now)
+        rig.run(0.05)
+    deaf = DeafTo(rig, answer)
+    rig.hub.request("stop")
+    outcomes = []
+    for _ in range(4):
+        outcomes.append(rig.hub.setpoint(rig.now.unix_ns, 0.02, rig.now))
+        rig.run(0.05)
+    assert not any(outcome.success for outcome in outcomes)
+    assert "stop" in outcomes[0].message
+    assert deaf.sent(protocol.Setpoint) == 0
+
+
+@pytest.mark.parametrize("kind", STOPS)
+def test_a_stop_that_acts_is_answered_when_the_axis_is_seen_at_rest(kind):
+    rig = playing()
+    outcome = rig.ask(kind)
+    assert outcome.success, outcome.message
+    assert rig.firmware.axis.velocity == 0.0
+    assert rig.run(1.0)[-1].status.state == "homed"
+    assert rig.ask("enable").success
+    for chunk in chunks_of(rest_to_rest(600), rig.now.unix_ns + 300_000_000, "again"):
+        rig.hub.load(chunk, rig.now)
+    rig.until(lambda report: any(own.state == "done" for own in report.sequences))
+
+
+def test_an_axis_at_rest_is_stopped_at_once():
+    rig = LoopbackRig(PARAMETERS)
+    rig.connect()
+    rig.enable()
+    rig.run(0.3)
+    before_ns = rig.steady_ns
+    assert rig.ask("stop").success
+    assert (rig.steady_ns - before_ns) * 1e-9 < 0.15
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+@pytest.mark.parametrize("ticks", [1, 100])
+def test_what_was_applied_and_is_no_number_blinds_nothing(value, ticks):
+    """One tick is passed over, three in a row are a fault; nothing that is no number is integrated or published."""
+    rig = playing()
+    reports_before = len(rig.reports)
+    left = [ticks]
+
+    def spoil(data: bytes) -> bytes:
+        out = b""
+        for payload in FrameDecoder().feed(data):
+            message = protocol.decode(payload)
+            if isinstance(message, protocol.Telemetry) and left[0] > 0:
+                own = message.ticks
+                applied = own.applied.copy()
+                applied[: left[0]] = value
+                left[0] -= len(applied)
+                message = protocol.Telemetry(dataclasses.replace(own, applied=applied))
+            out += protocol.encode(message)
+        return out
+
+    rig.to_host = spoil
+    rig.run(0.3)
+    assert all(
+        np.all(np.isfinite(batch.accelerations))
+        for report in rig.reports[reports_before:]
+        for batch in report.applied
+    )
+    if ticks > 3:
+        assert rig.reports[-1].status.fault.name == "not_finite"
+        return
+    assert rig.reports[-1].status.state == "enabled"
+    # The watch is not blind afterwards: a hub that stands still is seen.
+    stuck: list[int] = []
+
+    def freeze(data: bytes) -> bytes:
+        out = b""
+        for payload in FrameDecoder().feed(data):
+            message = protocol.decode(payload)
+            if isinstance(message, protocol.Telemetry):
+                own = message.ticks
+                stuck.append(int(own.position_counts[0]))
+                still = np.full(len(own), stuck[0], dtype=np.int64)
+                message = protocol.Telemetry(dataclasses.replace(own, position_counts=still))
+            out += protocol.encode(message)
+        return out
+
+    rig.to_host = freeze
+    rig.run(0.7)
+    assert rig.reports[-1].status.fault.name == "motion_unexplained"
