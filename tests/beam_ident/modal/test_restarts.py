@@ -142,7 +142,7 @@ def test_knowledge_of_a_bridge_yields_to_what_the_fit_finds() -> None:
         assert abs(amplitudes[place]) < 4.0 * np.hypot(sd, np.sqrt(fit.covariance[place, place]))
 
 
-@pytest.mark.slow
+@pytest.mark.verify
 def test_outputs_with_delays_of_their_own_may_have_gaps_of_the_input() -> None:
     record = damaged(beam_record(3), ((2.0, 2.022), (6.1, 6.13)))
     late = dataclasses.replace(record.outputs[2], times_s=record.outputs[2].times_s + 2e-3)

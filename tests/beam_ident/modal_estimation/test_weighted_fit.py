@@ -25,7 +25,7 @@ def with_encoder_noise(seed: int, sd: float, stated: float, missing: float = 0.0
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("missing", [0.0, 0.1])
+@pytest.mark.parametrize("missing", [0.0, pytest.param(0.1, marks=pytest.mark.verify)])
 def test_noise_on_a_measured_input_biases_nothing_where_its_size_is_stated(missing):
     found = identify(with_encoder_noise(3, 2e-6, 2e-6, missing), n_modes=3)
     assert found.converged
@@ -78,7 +78,9 @@ def test_a_hub_that_shows_nothing_but_its_encoders_noise_stands_still():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("seed", "mode"), [(61, "4.43 Hz"), (75, "4.587 Hz")])
+@pytest.mark.parametrize(
+    ("seed", "mode"), [(61, "4.43 Hz"), pytest.param(75, "4.587 Hz", marks=pytest.mark.verify)]
+)
 def test_noise_of_the_input_is_not_taken_for_a_mode_beside_a_true_one(seed, mode, monkeypatch):
     # What a search with equal weights takes for one. The search behind the noise does not see it to begin with.
     plain = identify(Rig().record(seed, encoder_sd=1e-6))
@@ -125,7 +127,7 @@ def with_stamp_jitter(seed: int, sd_s: float, encoder_sd: float = 0.0) -> TimeRe
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("encoder_sd", [0.0, 2e-7])
+@pytest.mark.parametrize("encoder_sd", [pytest.param(0.0, marks=pytest.mark.verify), 2e-7])
 def test_stamps_that_scatter_are_late_for_all_outputs_at_once(encoder_sd):
     scores = []
     for seed in (0, 2, 3, 4):

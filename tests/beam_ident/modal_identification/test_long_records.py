@@ -52,7 +52,10 @@ RECORDS = {
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", RECORDS)
+@pytest.mark.parametrize(
+    "kind",
+    ["white", "several", *(pytest.param(own, marks=pytest.mark.verify) for own in ("coloured", "encoder"))],
+)
 def test_a_record_in_pieces_is_identified_like_the_whole(kind, request):
     record = RECORDS[kind]()
     whole = identify(record)
@@ -81,7 +84,14 @@ DIFFICULT = {
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", DIFFICULT)
+@pytest.mark.parametrize(
+    "kind",
+    [
+        "tails",
+        "gaps",
+        *(pytest.param(own, marks=pytest.mark.verify) for own in ("outliers under a colour", "late")),
+    ],
+)
 def test_pieces_weigh_by_their_noise_like_the_whole(kind, monkeypatch):
     record = DIFFICULT[kind]()
     whole = identify(record, n_modes=3)
