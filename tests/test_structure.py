@@ -87,7 +87,7 @@ TESTED_IN = (
     ("beam_ros/excitation", "recipes", "excitation/test_plan"),
     ("beam_ros/hub", "contract host_clock journal ticks", "hub/simulated/test_simulated_hub"),
     ("beam_ros/hub/host", "pulse sequence_stream", "hub/line/test_client"),
-    ("beam_ros/hub/host", "rest_watch", "hub/host/test_promises"),
+    ("beam_ros/hub/host", "hold_watch rest_watch tick_watch", "hub/host/test_promises"),
     ("beam_ros/hub/gate", "stamps", "hub/gate/test_command_gate"),
     (
         "beam_ros/hub/conformance",

@@ -50,6 +50,7 @@ class CertainMotion:
         self._tolerance = parameters.max_following_error + 2 * parameters.encoder_resolution
         self._noise = noise
         self._jitter = jitter
+        self._least = max(SPEED_S, parameters.period) - 1e-9
         self._past: deque[tuple[float, float]] = deque()
 
     def forget(self) -> None:
@@ -72,6 +73,7 @@ class CertainMotion:
         """
         if self._past and times[0] <= self._past[-1][0]:
             self.forget()  # A clock that went back is somebody else's finding.
+        self._forget_older_than(float(times[-1]))
         found = self._jump(times, positions)
         if found is None and is_homed:
             found = self._beyond_travel(positions)
@@ -79,6 +81,11 @@ class CertainMotion:
             found = self._too_fast(float(times[-1]), float(positions[-1]))
         self._past.append((float(times[-1]), float(positions[-1])))
         return found
+
+    def _forget_older_than(self, now: float) -> None:
+        """Keep of the past what a mean speed needs, and the newest sample."""
+        while len(self._past) > 1 and now - self._past[1][0] >= self._least:
+            self._past.popleft()
 
     def _jump(self, times: FloatArray, positions: FloatArray) -> tuple[str, str] | None:
         """Look for a way between two samples that no speed explains."""
@@ -111,10 +118,7 @@ class CertainMotion:
 
     def _too_fast(self, now: float, position: float) -> tuple[str, str] | None:
         """Look for a mean speed beyond the limit, which no servo's lag or noise explains."""
-        least = max(SPEED_S, self._parameters.period) - 1e-9
-        while len(self._past) > 1 and now - self._past[1][0] >= least:
-            self._past.popleft()
-        if not self._past or now - self._past[0][0] < least:
+        if not self._past or now - self._past[0][0] < self._least:
             return None
         elapsed = now - self._past[0][0] + self._jitter
         way = abs(position - self._past[0][1])

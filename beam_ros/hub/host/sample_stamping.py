@@ -13,6 +13,7 @@ from collections.abc import Callable
 from beam_ros.hub.clock_mapping import ClockMapping
 from beam_ros.hub.contract import ClockSync, SampleBatch
 from beam_ros.hub.host.device_counter import WRAPS_NS, DeviceCounter
+from beam_ros.hub.host.tick_watch import TickWatch
 from beam_ros.hub.host_clock import HostClock
 from beam_ros.hub.journal import Journal
 from beam_ros.hub.parameters import AxisParameters
@@ -59,6 +60,8 @@ class DeviceClock:
     ----------
     mapping : ClockMapping
         From device time to steady time, for the device's present start.
+    ticks : TickWatch
+        Whether the ticks keep up with this clock.
     connected_ns : int
         Steady time of the connection [ns], or of the clock's last jump.
     """
@@ -66,6 +69,7 @@ class DeviceClock:
     def __init__(self, max_sd_ns: int, report: Report) -> None:
         self.max_sd_ns = max_sd_ns
         self.mapping = ClockMapping(0)
+        self.ticks = TickWatch(report)
         self.connected_ns = 0
         self._report = report
         self._counter = DeviceCounter()
@@ -82,6 +86,7 @@ class DeviceClock:
     def connect(self, now_ns: int, *, is_new_boot: bool) -> None:
         """Begin a connection; the map goes on where the device has not restarted."""
         self.connected_ns = now_ns
+        self.ticks.restart()
         self._sent.clear()
         # In a long pause a narrow counter may have wrapped more often than can be told.
         self._n_agreeing = self._n_other = self._n_strange = 0
@@ -142,6 +147,7 @@ class DeviceClock:
         device_ns = self._believe(sent_ns, returned_ns, came_ns)
         if device_ns is not None:
             sync = self.mapping.add(sent_ns, returned_ns, device_ns)
+            self.ticks.take_trip(returned_ns - sent_ns)
             self._syncs.append(dataclasses.replace(sync, host_ns=clock.stamp_ns(sync.host_ns)))
 
     def take_syncs(self) -> list[ClockSync]:
@@ -200,6 +206,7 @@ class DeviceClock:
                 f"{(possible[1] - possible[0]) / 2e6:.1f} ms was expected",
             )
         self.mapping = self._other
+        self.ticks.restart()
         self._counter = DeviceCounter()
         self._n_agreeing = self._n_other
         self._n_other = self._n_strange = 0
@@ -275,6 +282,9 @@ class SampleStamping:
         stamp_ns = 0
         if clock is not None and self._may_stamp(device_ns, received_ns):
             stamp_ns = clock.stamp_ns(mapping.host_ns(device_ns))
+            self._device_clock.ticks.take_age(
+                received_ns - mapping.host_ns(device_ns + length_ns), received_ns
+            )
         if stamp_ns <= self._last_stamp_ns:
             counters["unstamped_batches"] += 1
             return lost

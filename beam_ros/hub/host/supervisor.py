@@ -15,6 +15,7 @@ import numpy as np
 from beam_ros.arrays import FloatArray
 from beam_ros.hub.contract import Activity, AxisState, HubStatus, Outcome, RequestKind
 from beam_ros.hub.faults import NO_FAULT, Fault, fault
+from beam_ros.hub.host.hold_watch import HoldWatch
 from beam_ros.hub.host.motion_watch import MotionWatch
 from beam_ros.hub.host.rest_watch import RestWatch
 from beam_ros.hub.journal import Journal
@@ -44,8 +45,9 @@ class _Stop:
 
     ordered_ns: int
     rest_by_ns: int
+    must_rest: bool
+    is_over: bool
     is_answered: bool = False
-    is_over: bool = False
     is_contradicted: bool = False
 
 
@@ -75,6 +77,7 @@ class Supervisor:
         self.has_lost_home = False
         self._journal = journal
         self._motion = MotionWatch(parameters)
+        self._hold = HoldWatch(parameters)
         ramp_ns = round(parameters.max_speed / parameters.stop_deceleration * 1e9)
         self._deceleration = parameters.stop_deceleration
         self._rest = RestWatch(parameters)
@@ -106,6 +109,7 @@ class Supervisor:
         self._unsettled = None
         self._without.clear()
         self._motion.forget()
+        self._hold.forget()
         self._rest.forget()
         self._stop = self._silent_since_ns = None
 
@@ -170,6 +174,7 @@ class Supervisor:
             is_homed=self._state in ("homed", "enabled", "fault") and not self.has_lost_home,
             is_enabled=self._state == "enabled",
         )
+        self._hold.add(ticks, lost)
         if found is not None:
             self.report(*found)
 
@@ -184,6 +189,10 @@ class Supervisor:
             self._unsettle()
         self._state, self._is_homing = state, is_homing
         self._told_ns = self._awake_ns
+        if state != "enabled" or activity != "hold":
+            self._hold.forget()
+        elif (crept := self._hold.find(tick)) is not None:
+            self.report(*crept)
         if self._stop is not None:
             self._stop.is_over = state != "enabled" and activity == "idle"
             is_late = self._awake_ns > self._stop.rest_by_ns
@@ -200,10 +209,16 @@ class Supervisor:
     # Stops --------------------------------------------------------------------------------------------
 
     def order_stop(self) -> None:
-        """Take note that the device is told to stop from now on."""
+        """Take note that the device is told to stop from now on; told again, it has no more time."""
+        if self._stop is not None:
+            return
         ramp_ns = round(1e9 * self._rest.speed / self._deceleration)
         is_over = self._state != "enabled" and not self._is_homing
-        self._stop = _Stop(self._awake_ns, self._awake_ns + ramp_ns + REST_NS, is_over=is_over)
+        # A hub whose drive is off may be pushed by hand, whatever it was told.
+        must_rest = not is_over or self.fault is fault("stop_ignored")
+        self._stop = _Stop(
+            self._awake_ns, self._awake_ns + ramp_ns + REST_NS, must_rest=must_rest, is_over=is_over
+        )
 
     def note_stop_answered(self) -> None:
         """Take note that the device says that it has stopped."""
@@ -218,7 +233,7 @@ class Supervisor:
     def end_stop(self) -> bool:
         """Return whether the stop has acted: the device says so, and nothing that is seen says otherwise."""
         stop = self._stop
-        if stop is None or not stop.is_answered or self._is_seen_moving:
+        if stop is None or not stop.is_answered or (stop.must_rest and self._is_seen_moving):
             return False
         if not stop.is_over and self._awake_ns - self._told_ns < GONE_NS:
             return False
@@ -238,7 +253,7 @@ class Supervisor:
     def _hold_to(self, stop: _Stop, now_ns: int) -> None:
         """Look whether a stop has come to its time and the axis not to rest."""
         waited_s = (self._awake_ns - stop.ordered_ns) * 1e-9
-        if self._awake_ns > stop.rest_by_ns and self._is_seen_moving:
+        if self._awake_ns > stop.rest_by_ns and stop.must_rest and self._is_seen_moving:
             seen = f"it moves with {self._rest.speed:.3g} m/s"
         elif stop.is_contradicted:
             seen = "the controller says that it is stopped, and that it is enabled or at work"
@@ -322,3 +337,4 @@ class Supervisor:
         """Take no notice of the motion before the newest status: positions or commands meant something else."""
         self._unsettled = self._tick, UNSETTLED_BATCHES
         self._motion.forget()
+        self._hold.forget()

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+import tracemalloc
 from collections.abc import Callable
 
 import numpy as np
 import pytest
 from scipy import signal
 
-from beam_ros.hub.host.motion_watch import MotionWatch
+from beam_ros.hub.host.motion_watch import CertainMotion, MotionWatch
 from beam_ros.hub.parameters import COMMAND_MODES, AxisParameters
 from beam_ros.hub.simulated.plant import RigidPlant
 from beam_ros.hub.ticks import TickBatch
@@ -221,3 +222,20 @@ def test_ticks_of_any_length_are_followed(period_ns):
     jammed = measured_as(batch, np.full(len(batch), batch.position_counts[-1] + 1e-3 / 1e-7))
     found = watch.find(jammed, 0, is_homed=True, is_enabled=True)
     assert (found is not None) is (period_ns == 100_000)  # 1 mm is a jump in 0.1 ms, and the way of 50 ms
+
+
+@pytest.mark.parametrize("is_enabled", [False, True])
+def test_what_is_remembered_of_an_axis_at_rest_is_bounded(is_enabled):
+    watch = CertainMotion(AxisParameters(), 1e-5)
+
+    def follow(first: int, last: int) -> None:
+        for batch in range(first, last):
+            times = 1e-3 * np.arange(20.0 * batch, 20.0 * (batch + 1))
+            assert watch.find(times, np.zeros(20), is_homed=True, is_enabled=is_enabled) is None
+
+    follow(0, 100)
+    tracemalloc.start()
+    follow(100, 5000)
+    grown, _ = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert grown < 5_000

@@ -115,6 +115,42 @@ def test_a_stop_that_acts_is_answered_when_the_axis_is_seen_at_rest(kind):
     rig.until(lambda report: any(own.state == "done" for own in report.sequences))
 
 
+def test_a_stop_that_is_asked_for_again_and_again_gains_no_time():
+    rig = playing()
+    deaf = DeafTo(rig, "success")
+    for _ in range(20):
+        rig.hub.request("stop")
+        rig.run(0.05)
+        if rig.reports[-1].status.state == "fault":
+            break
+    assert rig.reports[-1].status.fault.name == "stop_ignored"
+    assert deaf.sent(protocol.Samples) == 0
+
+
+def test_a_disabled_hub_that_is_pushed_by_hand_may_be_told_to_stop():
+    rig = LoopbackRig(PARAMETERS)
+    rig.connect()
+    rig.enable()
+    assert rig.ask("disable").success
+    start_ns = rig.steady_ns
+
+    def pushed(data: bytes) -> bytes:
+        out = b""
+        for payload in FrameDecoder().feed(data):
+            message = protocol.decode(payload)
+            if isinstance(message, protocol.Telemetry):
+                way = 0.02 * (rig.steady_ns - start_ns) * 1e-9 / PARAMETERS.encoder_resolution
+                counts = message.ticks.position_counts + round(way)
+                message = protocol.Telemetry(dataclasses.replace(message.ticks, position_counts=counts))
+            out += protocol.encode(message)
+        return out
+
+    rig.to_host = pushed
+    rig.run(0.2)
+    assert rig.ask("stop").success
+    assert rig.run(1.0)[-1].status.state == "homed"
+
+
 def test_an_axis_at_rest_is_stopped_at_once():
     rig = LoopbackRig(PARAMETERS)
     rig.connect()
@@ -175,3 +211,72 @@ def test_what_was_applied_and_is_no_number_blinds_nothing(value, ticks):
     rig.to_host = freeze
     rig.run(0.7)
     assert rig.reports[-1].status.fault.name == "motion_unexplained"
+
+
+class Misses:
+    """A device that misses a tick in so many and numbers the others as if it had not."""
+
+    def __init__(self, rig: LoopbackRig, one_in: int) -> None:
+        self.one_in, self.n_seen, self.n_missed = one_in, 0, 0
+        rig.to_host = self.to_host
+
+    def to_host(self, data: bytes) -> bytes:
+        out = b""
+        for payload in FrameDecoder().feed(data):
+            message = protocol.decode(payload)
+            if isinstance(message, protocol.Telemetry):
+                ticks = message.ticks
+                before = self.n_missed
+                self.n_seen += len(ticks)
+                self.n_missed = self.n_seen // self.one_in
+                kept = ticks[self.n_missed - before :]
+                message = protocol.Telemetry(dataclasses.replace(kept, first_tick=ticks.first_tick - before))
+            elif isinstance(message, protocol.Status):
+                message = dataclasses.replace(message, tick=message.tick - self.n_missed)
+            out += protocol.encode(message)
+        return out
+
+
+@pytest.mark.parametrize("one_in", [100, 500, 5000])
+def test_a_device_that_misses_ticks_is_a_fault_before_its_stamps_are_late(one_in):
+    rig = LoopbackRig(PARAMETERS)
+    rig.connect()
+    rig.enable()
+    rig.run(2.0)
+    start_ns, missed = rig.steady_ns, Misses(rig, one_in)
+    for _ in range(300):
+        if rig.run(0.1)[-1].status.state == "fault":
+            break
+    status = rig.reports[-1].status
+    assert status.fault.name == "clock_jumped"
+    assert "ticks" in status.reason
+    # A millisecond is missing after so many ticks; two windows of a second until it is seen.
+    assert (rig.steady_ns - start_ns) * 1e-9 < 2e-3 * one_in + 2.5
+    assert missed.n_missed < 3 + 2500 / one_in
+
+
+@pytest.mark.parametrize("mode", ["acceleration", "velocity", "position"])
+@pytest.mark.parametrize("speed", [0.002, -0.005, 0.02])
+def test_a_held_hub_that_creeps_is_seen_when_it_has_left_its_place(speed, mode):
+    rig = LoopbackRig(dataclasses.replace(PARAMETERS, command_mode=mode))
+    rig.connect()
+    rig.enable()
+    rig.run(0.2)
+    start_ns = rig.steady_ns
+
+    def creep(data: bytes) -> bytes:
+        out = b""
+        for payload in FrameDecoder().feed(data):
+            message = protocol.decode(payload)
+            if isinstance(message, protocol.Telemetry):
+                way = speed * (rig.steady_ns - start_ns) * 1e-9 / PARAMETERS.encoder_resolution
+                counts = message.ticks.position_counts + round(way)
+                message = protocol.Telemetry(dataclasses.replace(message.ticks, position_counts=counts))
+            out += protocol.encode(message)
+        return out
+
+    rig.to_host = creep
+    rig.until(lambda report: report.status.state == "fault")
+    assert rig.reports[-1].status.fault.name == "motion_unexplained"
+    crept = abs(speed) * (rig.steady_ns - start_ns) * 1e-9
+    assert crept < PARAMETERS.max_following_error + 0.06 * abs(speed) + 1e-4

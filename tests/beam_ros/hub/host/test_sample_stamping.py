@@ -65,7 +65,9 @@ class Session:
         counts = np.zeros(BATCH, dtype=np.int64)
         applied, efforts = np.zeros(BATCH), np.zeros(BATCH, dtype=np.float32)
         ticks = TickBatch(first_tick, applied, counts, counts, efforts)
-        self.stamping.add(ticks, self.now_ns + 300_000, self.host)
+        # They leave when the last of them has ended, whatever the step of this loop.
+        ended_ns = START + round(((self.ticks_done + BATCH) * PERIOD - self.power_on_ns) / (1 + 60e-6))
+        self.stamping.add(ticks, ended_ns + 300_000, self.host)
 
     def check_stamps(self, since: int = 0) -> None:
         """All batches since one of them are there and at their true instants."""
