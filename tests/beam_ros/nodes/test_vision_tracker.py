@@ -284,6 +284,7 @@ def test_a_camera_that_comes_back_with_another_quality_of_service_is_heard(scene
         os.kill(camera.pid, signal.SIGKILL)
         camera.wait()
     assert seen.displacements[-1].positions == pytest.approx([1e-3] * 3, abs=3e-5)
+    scene.until_quiet("changing")
     scene.answer("changing", scene.image(scene.pixels(-1e-3)))
     scene.answer("changing", scene.image(scene.pixels(-1e-3)))
     assert scene.answer("changing", scene.image(scene.pixels(-1e-3))).positions == pytest.approx(

@@ -121,6 +121,13 @@ class TrackerScene:
         self.graph.wait(lambda: len(seen) > count, "an answer to the frame")
         return seen[-1]
 
+    def until_quiet(self, namespace: str) -> None:
+        """Wait until nothing has come for half a second: frames of a camera that is gone are still answered."""
+        seen, count = self.seen[namespace].displacements, -1
+        while count != len(seen):
+            count, end = len(seen), time.monotonic() + 0.5
+            self.graph.wait(lambda end=end: time.monotonic() > end, "half a second", 20.0)
+
     def complaint(self, namespace: str, words: str, level: str = "ERROR") -> Health:
         """Wait for diagnostics of a level that say something."""
         health = self.seen[namespace].health
