@@ -223,7 +223,7 @@ HOST_FAULTS = (
     Fault(
         86,
         "not_finite",
-        "the controller says what is no number of what it applied",
+        "the controller reports NaN or infinity as what it applied",
         "mend the firmware's telemetry",
     ),
 )

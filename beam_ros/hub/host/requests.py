@@ -77,7 +77,7 @@ class Requests:
 
     @property
     def is_closed(self) -> bool:
-        """Whether the stop whose end nobody else is told of has ended."""
+        """Whether the stop that closing asked for has ended."""
         return self.closing_id & 0xFFFF not in self._pending
 
     @property

@@ -1,9 +1,9 @@
 """What the host watches while it is connected, whatever the link: motion, telemetry, status, clock, its own stops.
 
 The first thing that is wrong becomes the fault. It stays until it is cleared, which needs that its cause is gone.
-From the moment on, the device is told to stop. A stop, whoever wants it, is a promise: until the axis is seen at
-rest, nothing else is said; where it is not at rest in time, the host falls silent, so that the device's own watchdog
-acts.
+From the moment on, the host tells the device to stop. A stop is a promise, the user's as well: until the axis is seen
+at rest, nothing else is said; where it is not at rest in time, the host falls silent, so that the device's own
+watchdog acts.
 """
 
 from __future__ import annotations
@@ -209,7 +209,7 @@ class Supervisor:
     # Stops --------------------------------------------------------------------------------------------
 
     def order_stop(self) -> None:
-        """Take note that the device is told to stop from now on; told again, it has no more time."""
+        """Take note that the host says stop from now on; said again, it gives no more time."""
         if self._stop is not None:
             return
         ramp_ns = round(1e9 * self._rest.speed / self._deceleration)
