@@ -359,7 +359,12 @@ def _take_text(data: bytes, at: int) -> tuple[str, int]:
     end = at + 1 + data[at]
     if end > len(data) or data[at] > MAX_TEXT:
         raise ValueError(f"text of {data[at]} bytes where {len(data) - at - 1} follow")
-    return data[at + 1 : end].decode(), end
+    return _printable(data[at + 1 : end].decode()), end
+
+
+def _printable(text: str) -> str:
+    """Replace what would steer a terminal or break a line of a log: a device's words are shown as they are."""
+    return "".join(letter if letter.isprintable() else "\N{REPLACEMENT CHARACTER}" for letter in text)
 
 
 _LIMITS_STRUCT = struct.Struct("<9dI")

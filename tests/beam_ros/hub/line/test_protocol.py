@@ -126,6 +126,18 @@ def test_long_texts_are_cut_at_a_character():
 
 
 @pytest.mark.parametrize(
+    "text", ["\x1b[2J\x1b[31mall is well", "one\nline: error", "bell\a", "\u202eback", "\x85next"]
+)
+def test_the_texts_of_a_device_steer_no_terminal_and_break_no_line(text):
+    reply = protocol.decode(protocol.encode_payload(protocol.RequestReply(1, "failure", text)))
+    assert reply.text.isprintable()
+    assert len(reply.text) == len(text)
+    assert [own for own in reply.text if own != "\N{REPLACEMENT CHARACTER}"] == [
+        own for own in text if own.isprintable()
+    ]
+
+
+@pytest.mark.parametrize(
     "message",
     [
         protocol.ClockQuery(65536),
