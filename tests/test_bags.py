@@ -65,7 +65,6 @@ def test_a_recording_identifies_as_its_truth_and_as_expected(name: str) -> None:
     assert fits == pytest.approx(expected["fit_percent"], abs=0.05)
 
 
-@pytest.mark.first_case
 @pytest.mark.parametrize("name", RECORDINGS)
 def test_both_libraries_find_a_recording_whole_and_read_the_same(name: str) -> None:
     assert messages_of_whole_bag(FOLDER / name)

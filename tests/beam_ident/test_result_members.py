@@ -46,7 +46,6 @@ def test_every_result_keeps_its_contract(name):
     assert isinstance(found, LineResult) == (name in result_cases.OVER_LINES)
 
 
-@pytest.mark.first_case
 @pytest.mark.parametrize("name", result_cases.BY_NAME)
 def test_what_the_table_promises_is_kept_and_the_models_can_be_stored(name):
     found = result_cases.result(name)
@@ -59,7 +58,6 @@ def test_what_the_table_promises_is_kept_and_the_models_can_be_stored(name):
         assert omega_sd.shape == zeta_sd.shape == (1,)
 
 
-@pytest.mark.first_case
 @pytest.mark.parametrize("name", result_cases.ALL)
 def test_every_result_says_how_it_ended(name):
     found = result_cases.result(name)

@@ -111,7 +111,6 @@ def test_json_text_carries_everything_exactly(name):
     assert json.dumps(restore(json.loads(text)).to_dict()) == text
 
 
-@pytest.mark.first_case
 @pytest.mark.parametrize("name", NAMES[:-1])
 def test_type_and_schema_are_stated_and_asked_for(name):
     value = stored(name)
@@ -137,7 +136,6 @@ def test_every_missing_entry_is_refused_by_name(name):
             type(value).from_dict(short)
 
 
-@pytest.mark.first_case
 @pytest.mark.parametrize("name", NAMES[:-1])
 def test_entries_of_another_kind_are_refused(name):
     value = stored(name)

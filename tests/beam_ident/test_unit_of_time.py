@@ -70,7 +70,6 @@ def test_modes_are_the_same_in_any_unit_of_time(structure, unit_s, data, options
     )
 
 
-@pytest.mark.first_case
 @pytest.mark.parametrize("unit_s", [1e-6, 1e3])
 def test_transfer_functions_and_subspaces_are_the_same_in_any_unit_of_time(unit_s):
     one, other = record(1.0, "receptance"), record(unit_s, "receptance")

@@ -75,7 +75,6 @@ def finite_element_frequencies(parameters: BeamParameters, hub_is_free: bool) ->
     return np.sqrt(np.maximum(squared, 0.0))[1 if hub_is_free else 0 :]
 
 
-@pytest.mark.first_case
 @pytest.mark.parametrize(
     "changes",
     [
@@ -118,7 +117,6 @@ def test_clamped_modes_solve_huangs_equation(thickness: float) -> None:
     assert found[: roots.size] == pytest.approx(roots, rel=1e-9)
 
 
-@pytest.mark.first_case
 @pytest.mark.parametrize(
     "changes",
     [

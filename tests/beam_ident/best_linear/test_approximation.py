@@ -125,7 +125,6 @@ def test_in_a_loop_the_reference_removes_the_bias_that_comes_around(has_referenc
         assert [said for said in best.warnings if "reference_name" in said]
 
 
-@pytest.mark.slow
 def test_variances_of_detection_lines_are_of_the_same_kind_as_those_of_excited_ones():
     # What comes around a loop into the input, here as strong as the reference, is no part of what excites.
     n, rng, given = 256, np.random.default_rng(3), []
@@ -273,7 +272,6 @@ def test_it_goes_through_json():
     assert again.distortion == found.distortion
 
 
-@pytest.mark.slow
 def test_the_report_draws_response_noise_and_distortion_with_the_test_of_the_detection_lines():
     found = approximation()
     page = Page("title", "lead")

@@ -16,7 +16,6 @@ def test_the_band_of_a_variance_holds_it_as_often_as_stated(freedom):
     assert np.mean(high < 1.0) == pytest.approx(0.05, abs=0.006)
 
 
-@pytest.mark.first_case
 @pytest.mark.parametrize("freedoms", [(2.0, 4.0), (12.0, 42.0), (40.0, 8.0)])
 @pytest.mark.parametrize("excess", [0.1, 1.0, 30.0])
 def test_the_band_of_a_difference_holds_it_as_often_as_stated(freedoms, excess):

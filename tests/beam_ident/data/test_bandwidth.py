@@ -67,7 +67,6 @@ def test_a_rough_bridge_over_a_gap_is_no_excitation(start_s, length_s):
     assert 50.0 < band.high_hz < 100.0
 
 
-@pytest.mark.first_case
 @pytest.mark.parametrize("seed", [5, 6, 7])
 def test_many_short_gaps_hide_nothing_that_a_sweep_excites_between_them(seed):
     # With 50 lost messages of 20 ms no piece between two is as long as the sweep takes to pass.

@@ -60,7 +60,6 @@ def test_the_sampled_signal_has_power_on_its_lines_alone():
     assert np.max(others) < 1e-9 * np.min(spectrum[excited])
 
 
-@pytest.mark.first_case
 @pytest.mark.parametrize(
     ("band", "odd", "most"),
     [((1.0, 95.0), False, 1.50), ((1.0, 95.0), True, 1.55), ((2.0, 6.0), False, 1.62)],

@@ -73,7 +73,6 @@ def test_coherence_is_drawn_where_there_is_one_and_the_relative_sd_elsewhere(rat
     assert single.axes[2].get_ylabel() == "relative sd"
 
 
-@pytest.mark.slow
 def test_a_validation_shows_every_output_with_its_scores(modal):
     result = validate(modal[1].model, beam_record(2))
     figure = figures.validation_figure(result)

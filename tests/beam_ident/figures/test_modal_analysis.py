@@ -16,7 +16,6 @@ def analysis():
     return chart, analyse_modes(chart)
 
 
-@pytest.mark.slow
 def test_the_chart_shows_every_pole_the_modes_and_the_indicator(analysis):
     chart, found = analysis
     axis, behind = figures.stabilisation_figure(chart, found).axes

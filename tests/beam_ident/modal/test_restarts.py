@@ -116,7 +116,6 @@ def test_a_bridge_that_nobody_believes_excites_nothing_in_the_search() -> None:
     assert np.max(np.abs(z)) < 4.0
 
 
-@pytest.mark.first_case
 @pytest.mark.parametrize(("hole", "is_known"), [((3.0, 4.0), False), ((3.0, 3.1), True)])
 def test_what_begins_after_a_poor_bridge_is_unknown(hole: tuple[float, float], is_known: bool) -> None:
     # Errors at a few other places do not say what a bridge that went wrong does at its ends.

@@ -20,7 +20,6 @@ from tests.beam_ident.modal_analysis.chain import (
 )
 
 
-@pytest.mark.first_case
 @pytest.mark.parametrize(
     ("form", "differentiations"), [("receptance", 0), ("mobility", 1), ("accelerance", 2)]
 )

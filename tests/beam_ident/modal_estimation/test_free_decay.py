@@ -26,7 +26,6 @@ def decays(noise, seed=0, exposure=0.0, times=TIMES):
 
 
 # 20 ms are 0.57 of the second mode's period: the box takes half of it away.
-@pytest.mark.first_case
 @pytest.mark.parametrize("exposure", [0.0, 1e-6, 0.01, 0.02])
 def test_two_modes_ring_at_irregular_stamps_and_are_found_exactly(exposure):
     found = fit_free_decay(decays(0.0, exposure=exposure))
@@ -66,7 +65,6 @@ def test_nothing_that_rings_is_refused():
         fit_free_decay(decays(0.1), n_modes=0)
 
 
-@pytest.mark.first_case
 @pytest.mark.parametrize("load", [0.0, 1.0, -0.4])  # what the structure is held by until it is let go
 @pytest.mark.parametrize("noise", [0.0, 0.003, 0.05])
 def test_a_rest_before_the_decay_is_left_out(load, noise):

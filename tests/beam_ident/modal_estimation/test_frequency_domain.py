@@ -43,7 +43,6 @@ def fitted(record, structure="base_motion", **keywords):
     )
 
 
-@pytest.mark.first_case
 @pytest.mark.parametrize(
     ("structure", "hold"),
     [

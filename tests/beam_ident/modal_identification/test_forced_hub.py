@@ -111,7 +111,6 @@ def test_gains_and_residues_under_force_are_those_of_two_masses_and_a_spring():
     assert np.all(model.residue_sd < 1e-4)
 
 
-@pytest.mark.slow
 def test_a_force_alone_says_that_the_hub_is_free_and_how_heavy_it_is():
     case = FreeHubCase(SHORT)
     model = identify(case.record(1)).model

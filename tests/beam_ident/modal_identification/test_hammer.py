@@ -18,7 +18,6 @@ def z_scores(model) -> np.ndarray:
     return np.append(scores, (model.residues - RESIDUES) / model.residue_sd)
 
 
-@pytest.mark.first_case
 @pytest.mark.parametrize("start_s", [2e-4, 1.0])
 @pytest.mark.parametrize("kind", ["receptance", "mobility", "accelerance"])
 def test_a_blow_is_identified_wherever_it_falls_and_whatever_the_sensor_measures(kind, start_s):
@@ -29,7 +28,6 @@ def test_a_blow_is_identified_wherever_it_falls_and_whatever_the_sensor_measures
     assert np.max(np.abs(z_scores(found.model))) < 4.2
 
 
-@pytest.mark.first_case
 @pytest.mark.parametrize(
     ("kind", "start_s"), [("receptance", 2e-4), ("accelerance", 2e-4), ("accelerance", 0.02)]
 )

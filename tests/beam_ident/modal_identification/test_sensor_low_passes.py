@@ -73,7 +73,6 @@ def deviations(model):
     return np.abs(np.concatenate([frequencies, (model.damping_ratios - DAMPING) / model.damping_ratio_sd]))
 
 
-@pytest.mark.first_case
 @pytest.mark.parametrize("order", [1, 2])
 @pytest.mark.parametrize(("hold", "corner"), [("zoh", 2e-3), ("linear", 3e-4), ("cubic", 3e-4)])
 def test_what_a_low_pass_shows_of_an_input_is_what_scipy_says(order, hold, corner):

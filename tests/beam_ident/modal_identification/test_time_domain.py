@@ -52,14 +52,12 @@ def test_three_modes_are_found_without_hints_the_third_above_half_the_frame_rate
     assert not result.warnings
 
 
-@pytest.mark.slow
 def test_the_order_table_marks_the_choice_and_says_why_others_were_refused(result):
     chosen = [entry for entry in result.orders if entry.is_chosen]
     assert [entry.n_modes for entry in chosen] == [3]
     assert all(entry.refused_because for entry in result.orders if entry.n_modes > 3)
 
 
-@pytest.mark.slow
 def test_scores_are_given_on_the_deflection_too(result):
     root = result.output("z010")
     assert root.scores.r_squared > 0.9999
@@ -387,7 +385,6 @@ def test_intervals_cover_the_truth_over_many_records():
     assert np.max(np.abs(np.mean(scores, axis=0))) < 0.3
 
 
-@pytest.mark.slow
 def test_a_model_predicts_a_record_that_it_has_not_seen(result):
     prediction = validate(result.model, beam_record(20, Multisine(n_periods=1, line_period=8.0, still=4.0)))
     for output in prediction.outputs:

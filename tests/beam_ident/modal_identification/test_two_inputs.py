@@ -128,7 +128,6 @@ def test_noise_that_is_not_weighed_is_named(case):
     assert any("Noise on input hammer" in said for said in found.warnings)
 
 
-@pytest.mark.slow
 def test_a_gap_of_one_input_is_stepped_over(case):
     record = case.record(1)
     values = np.array(record.inputs[1].values)

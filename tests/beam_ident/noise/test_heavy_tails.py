@@ -36,7 +36,6 @@ def test_the_stated_deviation_of_a_mean_is_the_scatter_of_means(share, size):
     assert np.std(means) < 0.062  # 1/sqrt(400) without outliers; least squares has 0.11 to 0.32
 
 
-@pytest.mark.first_case
 @pytest.mark.parametrize("freedom", [1.0, 4.0, 50.0])
 def test_the_stated_efficiency_is_that_of_gaussian_noise(freedom):
     rng = np.random.default_rng(6)

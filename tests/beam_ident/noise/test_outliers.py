@@ -71,7 +71,6 @@ def test_a_student_t_likelihood_is_as_good_as_leaving_out_what_was_named():
     assert plain.model.standard_deviations[0] > 5.0 * known.standard_deviations[0]
 
 
-@pytest.mark.slow
 def test_outliers_in_coloured_noise_are_left_out():
     drive = InputSignal("u", "N", (0.0, 0.005), np.random.default_rng(7).standard_normal(1300), "zoh")
     noise = 0.02 * lfilter([1.0], [1.0, -0.9], np.random.default_rng(1).standard_normal(len(STAMPS)))
@@ -128,7 +127,6 @@ NOISES = {
 }
 
 
-@pytest.mark.first_case
 @pytest.mark.parametrize("kind", list(NOISES))
 def test_noise_is_no_outlier_whatever_its_colour_and_distribution(kind):
     rng = np.random.default_rng(11)

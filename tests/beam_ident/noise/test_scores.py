@@ -27,7 +27,6 @@ def p_values(effect: float, colour: float, runs: int = 300) -> np.ndarray:
     return np.array(found)
 
 
-@pytest.mark.first_case
 @pytest.mark.parametrize("colour", [0.0, 0.8])
 def test_chance_alone_gives_every_p_value_alike(colour: float) -> None:
     found = p_values(0.0, colour)

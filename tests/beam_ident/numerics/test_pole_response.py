@@ -40,7 +40,6 @@ def test_phi_functions_agree_with_their_integrals_on_both_sides_of_the_switch():
             assert values[k][0] == pytest.approx(complex(*parts) / factorial, rel=1e-12, abs=1e-14)
 
 
-@pytest.mark.first_case
 @pytest.mark.parametrize("irregular", [False, True])
 @pytest.mark.parametrize("hold", HOLDS)
 def test_the_state_solves_the_differential_equation(hold, irregular):

@@ -6,7 +6,6 @@ import pytest
 from beam_ident.numerics.state_recursion import StateRecursion
 
 
-@pytest.mark.first_case
 @pytest.mark.parametrize(("n_inputs", "n_outputs"), [(2, 3), (7, 6)])
 @pytest.mark.parametrize("is_steady", [True, False])
 @pytest.mark.parametrize("n_columns", [1, 5])

@@ -108,7 +108,6 @@ def test_figures_keep_their_text_and_say_what_they_show():
     assert "#1d4ed8" in page.figures["line"]
 
 
-@pytest.mark.slow
 def test_colours_of_figures_follow_the_scheme_of_the_reader_but_not_those_of_pictures():
     page = full_page()
     assert "stroke: var(--c1d4ed8)" in page.text()

@@ -181,7 +181,6 @@ def test_leakage_of_what_is_no_stationary_noise_is_named(noise_record):
     assert sum(leaks(np.random.default_rng(seed).standard_normal(8000)) for seed in range(10)) <= 1
 
 
-@pytest.mark.first_case
 @pytest.mark.parametrize(
     "estimate",
     [

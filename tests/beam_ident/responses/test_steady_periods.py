@@ -147,7 +147,6 @@ def stretched(seed, gains, delays=0.0, noise=0.05):
     return response * drives, answers, omegas
 
 
-@pytest.mark.first_case
 @pytest.mark.parametrize("n", [2, 3, 8])
 @pytest.mark.parametrize("leaks", [False, True])
 def test_noise_alone_changes_a_response_in_one_record_of_a_thousand(n, leaks):
@@ -186,7 +185,6 @@ def test_a_gain_that_falls_in_mid_record_is_said_by_responses_of_every_kind():
         assert any("changes in mid-record" in said for said in found.warnings), found.method
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("way", [local_polynomial_response, welch_response])
 @pytest.mark.parametrize("rate", [-0.006, 0.01])
 def test_a_clock_that_turns_lines_through_cycles_is_named_with_its_rate(way, rate):

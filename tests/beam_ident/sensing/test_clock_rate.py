@@ -50,14 +50,12 @@ def said_rate(warnings: tuple[str, ...]) -> list[float]:
     ]
 
 
-@pytest.mark.first_case
 @pytest.mark.parametrize("rate", RATES)
 def test_a_clock_wrong_by_a_per_cent_is_named_with_its_rate(rate):
     found = clocks_of_record(record(1, rate).outputs, record(1, rate).inputs[0])
     np.testing.assert_allclose(said_rate(tuple(found)), [rate, rate], atol=0.002)
 
 
-@pytest.mark.first_case
 @pytest.mark.parametrize("rate", RATES)
 @pytest.mark.parametrize("estimate", [welch_response, local_polynomial_response])
 def test_a_response_names_it(estimate, rate):

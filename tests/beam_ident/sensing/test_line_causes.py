@@ -29,7 +29,6 @@ def lines(response: np.ndarray, seed: int = 0, noise: float = 0.01, is_known: bo
     return FrequencyRecord(OMEGAS, response + errors, size**2 if is_known else None)
 
 
-@pytest.mark.first_case
 @pytest.mark.parametrize("is_known", [True, False])
 @pytest.mark.parametrize("sensor", SENSORS)
 def test_what_a_sensor_does_is_named_with_its_size(sensor: str, is_known: bool) -> None:

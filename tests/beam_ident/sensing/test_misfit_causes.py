@@ -85,7 +85,6 @@ def test_a_channel_that_died_is_named_although_what_it_leaves_has_the_colour_of_
     assert not misfit_warnings([("y", [(times, sound, noise)])])
 
 
-@pytest.mark.first_case
 @pytest.mark.parametrize("pole", [0.99, 0.995, 0.998])
 def test_noise_as_slow_as_the_record_is_hardly_ever_a_drift(pole):
     alarms = 0

@@ -24,7 +24,6 @@ def test_without_noise_the_model_is_exact():
     assert found.singular_values[4] < 1e-6 * found.singular_values[3]
 
 
-@pytest.mark.first_case
 @pytest.mark.parametrize("snr_db", [20.0, 0.0])
 def test_three_light_modes_are_found_in_as_much_noise_as_signal(snr_db):
     beam = ForcedBeam()

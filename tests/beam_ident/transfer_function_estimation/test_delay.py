@@ -144,7 +144,6 @@ def test_estimators_that_take_a_delay_as_given_do_not_pretend_to_find_it(method)
     assert found.scores.fit_percent > 80.0
 
 
-@pytest.mark.first_case
 @pytest.mark.parametrize("delay", [Prior(0, np.inf), Prior(0, 1)])
 def test_a_delay_that_is_known_to_whole_seconds_is_estimated_to_fractions(delay):
     model = estimate_transfer_function(late_record(0.1234), 2, 1, delay=delay).model

@@ -89,7 +89,6 @@ def test_a_delay_of_many_periods_is_found_from_a_start_near_it():
     assert found.parameters[:3] == pytest.approx([4.0, 4.0, 12.0], rel=1e-3)
 
 
-@pytest.mark.first_case
 @pytest.mark.parametrize(("n_modes", "seed", "is_known"), [(12, 2, True), (14, 1, True), (14, 1, False)])
 def test_a_fit_of_high_order_reaches_the_optimum_from_poles_spread_over_the_band(n_modes, seed, is_known):
     # Structures for which the iteration of Sanathanan and Koerner leads to FIT 93 to 94 %.

@@ -48,7 +48,6 @@ def worst(model: object) -> float:
     return float(np.max(np.abs(found - DENOMINATOR[1:]) / model.standard_deviations[:2]))  # type: ignore[attr-defined]
 
 
-@pytest.mark.first_case
 @pytest.mark.parametrize("energy", [0.03, 1.0, 10.0])
 @pytest.mark.parametrize("method", ["auto", "output_error", "rivc", "srivc"])
 def test_motion_at_the_beginning_is_found_and_estimated_along(energy: float, method: str) -> None:

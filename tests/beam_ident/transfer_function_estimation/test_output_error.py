@@ -66,7 +66,6 @@ def a_point(case: OutputErrorProblem) -> np.ndarray:
     return np.concatenate([*(np.real(a) for a in chosen), [0.123, 0.31]])
 
 
-@pytest.mark.first_case
 @pytest.mark.parametrize("own_poles", [True, False])
 @pytest.mark.parametrize("exposure_s", [0.0, 0.03])
 @pytest.mark.parametrize("n_integrators", [0, 1, 2])
@@ -177,7 +176,6 @@ def test_a_structure_never_ends_in_a_worse_optimum_than_one_inside_it(case):
     assert squares[1] <= squares[0] * (1.0 + 1e-6)
 
 
-@pytest.mark.first_case
 @pytest.mark.parametrize(("n_poles", "is_whole"), [(4, True), (2, False)])
 def test_what_follows_the_input_in_residuals_is_told_from_noise_of_a_colour(n_poles, is_whole):
     p_values = []

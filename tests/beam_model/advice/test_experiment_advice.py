@@ -32,7 +32,6 @@ def test_aliases_are_where_the_reference_saw_them() -> None:
         aliases([1.0], 0.0)
 
 
-@pytest.mark.first_case
 @pytest.mark.parametrize("n_modes", [1, 2, 3, 5])
 @pytest.mark.parametrize("n_markers", [1, 2, 3])
 def test_suggested_heights_see_every_mode_better_than_any_other(n_modes: int, n_markers: int) -> None:

@@ -43,7 +43,6 @@ def test_a_swing_integrated_in_time_obeys_the_law() -> None:
     assert found == pytest.approx(law.damping_ratios(middle), rel=0.01)
 
 
-@pytest.mark.first_case
 @pytest.mark.parametrize(("linear", "drag"), [(0.005, 0.02), (0.02, 0.05), (0.0, 0.03)])
 def test_the_ringing_of_a_dragged_oscillator_crosses_zero_at_the_laws_frequency(linear, drag):
     force = drag * 3.0 * np.pi / 4.0  # of |x'| x': zeta_q = 4 beta A/(3 pi) at omega = 1

@@ -97,7 +97,6 @@ def test_friction_that_would_push_is_refused() -> None:
         HubFriction(coulomb=1.0, coulomb_difference=-2.1)
 
 
-@pytest.mark.first_case
 @pytest.mark.parametrize("scenario", ["friction", "stops", "both"])
 def test_halving_the_tick_changes_nothing(scenario: str) -> None:
     friction = HubFriction(coulomb=2.0, viscous=1.0) if scenario != "stops" else None
@@ -126,7 +125,6 @@ def test_halving_the_tick_changes_nothing(scenario: str) -> None:
         assert np.abs(finer[:, 1] - ends[0][:, 1]).max() < 1e-8
 
 
-@pytest.mark.first_case
 @pytest.mark.parametrize("n_modes", [5, 20])
 @pytest.mark.parametrize("scenario", ["friction", "stick and slip", "stops", "both"])
 def test_reversals_and_blows_within_one_tick_are_found(n_modes: int, scenario: str) -> None:

@@ -82,7 +82,6 @@ CASES = [
 ]
 
 
-@pytest.mark.first_case
 @pytest.mark.parametrize(("free", "with_residues"), CASES)
 def test_without_noise_the_truth_is_found_from_thirty_percent_off(
     free: tuple[str, ...], with_residues: bool

@@ -137,7 +137,6 @@ def test_play_and_curvature_are_seen_and_told(tmp_path: Path, capsys: pytest.Cap
     assert any("distortion" in warning for warning in result["warnings"])
 
 
-@pytest.mark.first_case
 @pytest.mark.parametrize("angle", [0.03, -0.2])
 def test_the_angle_between_rows_and_travel_is_found_and_taken_out(tmp_path: Path, angle: float) -> None:
     fit, _ = calibrate_from_bags([record(tmp_path / "turned", angle=angle)])

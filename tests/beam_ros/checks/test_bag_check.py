@@ -115,7 +115,6 @@ def test_gaps_of_the_hub_are_named_with_their_place(tmp_path: Path) -> None:
     assert "(501 ms)" in found.figure
 
 
-@pytest.mark.slow
 def test_a_marker_at_the_end_of_its_range_is_saturated(tmp_path: Path) -> None:
     def clipped(k: int, row: Displacement) -> Displacement:
         return with_positions(row, np.minimum(row.positions, [1.0, 1.0, 0.006]))
@@ -125,7 +124,6 @@ def test_a_marker_at_the_end_of_its_range_is_saturated(tmp_path: Path) -> None:
     assert "z285 stand at 0.006" in found.figure
 
 
-@pytest.mark.first_case
 @pytest.mark.parametrize(("scale", "words"), [(1e3, "millimetres?"), (-1.0, "sign?")])
 def test_units_that_cannot_be_are_named(tmp_path: Path, scale: float, words: str) -> None:
     def scaled(k: int, row: Displacement) -> Displacement:

@@ -55,7 +55,6 @@ def test_what_leaves_a_limit_is_refused_with_the_limit_named(change: dict[str, o
         plan_excitation(Rig.from_file().with_values(change))
 
 
-@pytest.mark.first_case
 @pytest.mark.parametrize("kind", ["chirp", "multisine", "step"])
 @pytest.mark.parametrize("mode", ["acceleration", "velocity", "position", "effort"])
 def test_every_signal_in_every_mode_passes_the_hubs_own_guard(kind: str, mode: str) -> None:
@@ -83,7 +82,6 @@ def test_the_guard_refuses_a_resonant_sequence_in_every_mode(mode: str) -> None:
     assert "predicted tip" in str(objection(rig, values))
 
 
-@pytest.mark.first_case
 @pytest.mark.parametrize("kind", RIG_PARAMETERS["excitation.kind"].choices)
 def test_every_kind_of_the_schema_makes_a_plan_with_the_packaged_values(kind: str) -> None:
     rig = Rig.from_file().with_values(

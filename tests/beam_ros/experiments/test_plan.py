@@ -58,7 +58,6 @@ def test_the_digest_follows_all_that_decides_what_is_done_and_nothing_else(tmp_p
         assert other.digest() != same.digest()
 
 
-@pytest.mark.first_case
 @pytest.mark.parametrize("name", packaged_plans())
 def test_every_packaged_plan_is_inside_its_limits(name: str) -> None:
     plan = read_plan(Path(name))
@@ -72,7 +71,6 @@ def test_the_rig_file_is_found_beside_the_plan(tmp_path: Path) -> None:
     assert (plan.rig.camera.rate, plan.rig.camera.exposure) == (50.0, 0.002)
 
 
-@pytest.mark.first_case
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [

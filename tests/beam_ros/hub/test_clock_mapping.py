@@ -82,7 +82,6 @@ def test_nothing_is_mapped_before_there_are_exchanges():
     assert mapping.standard_deviation_ns(0) == np.inf
 
 
-@pytest.mark.first_case
 @pytest.mark.parametrize("seed", range(5))
 def test_stamps_increase_and_never_step_whatever_the_exchanges_say(seed):
     line = Line(50.0, seed, queue_ns=400_000.0)
@@ -229,7 +228,6 @@ def outside(line: Line, ppm_later: float, step_ns: int, *, seconds: float = 3.0)
     return None
 
 
-@pytest.mark.first_case
 @pytest.mark.parametrize("step_ns", [10_000_000, 40_000_000, 200_000_000])
 @pytest.mark.parametrize("ppm", [-10_000, 10_000])
 def test_a_clock_that_drifts_by_a_hundredth_is_noticed_however_often_it_is_asked(ppm, step_ns):

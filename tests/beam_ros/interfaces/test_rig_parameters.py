@@ -101,7 +101,6 @@ _ANYTHING = st.recursive(
 )
 
 
-@pytest.mark.slow
 @given(st.sampled_from(sorted(RIG_PARAMETERS)), _ANYTHING)
 def test_any_value_is_either_taken_in_its_type_or_refused(name: str, value: object) -> None:
     kind = RIG_PARAMETERS[name].kind

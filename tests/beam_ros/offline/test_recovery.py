@@ -245,7 +245,6 @@ def test_a_killed_recording_whose_first_chunk_is_damaged_keeps_its_names(tmp_pat
     assert sum(report.lost.values()) == 200 - report.message_count
 
 
-@pytest.mark.slow
 def test_info_and_recover_say_the_same(tmp_path):
     run = write_experiment(tmp_path / "run", batches=100)
     data = bytearray((run / "run_0.mcap").read_bytes())

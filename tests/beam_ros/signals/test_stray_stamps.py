@@ -32,7 +32,6 @@ def write(path: Path, stray: dict[int, int], n: int = 300) -> Path:
     return path
 
 
-@pytest.mark.first_case
 @pytest.mark.parametrize("seconds", [-3.0005, -200.0, 3.0005, 200.0])
 def test_a_batch_and_a_frame_far_off_are_named_and_left_out(tmp_path: Path, seconds: float) -> None:
     notes: list[str] = []

@@ -69,7 +69,6 @@ def test_a_row_holds_poles_quality_and_provenance(rows: list[Row]) -> None:
     assert "excitation.kind:=chirp" in row["excitation"]
 
 
-@pytest.mark.slow
 def test_a_bag_that_cannot_be_read_is_a_row_with_its_error(rows: list[Row]) -> None:
     assert rows[2]["verdict"] == "failed"
     assert "cut" in rows[2]["error"]

@@ -37,7 +37,6 @@ def ground(
     return np.clip(np.rint(frames[-3:]), 0, 255)
 
 
-@pytest.mark.first_case
 @pytest.mark.parametrize("share", [0.0, 0.2, 0.6])
 @pytest.mark.parametrize("more", [{}, {"noise": 1.2}, {"texture": 8.0}, {"texture": 8.0, "flicker": 0.2}])
 def test_the_noise_of_a_ground_that_rests_tells_the_share(share, more):
@@ -126,7 +125,6 @@ def test_what_lags_behind_an_average_is_stated(share, is_adaptive, swing_px):
     assert 0.1 < score < 1.2
 
 
-@pytest.mark.first_case
 @pytest.mark.parametrize(("swing_px", "noise"), [(0.0, 2.0), (3.0, 4.0), (20.0, 1.0)])
 def test_a_camera_that_shows_the_present_is_no_average(swing_px, noise):
     tracker, score = film(0.0, False, swing_px, noise)

@@ -303,7 +303,6 @@ DEFECTS: dict[str, dict[str, object]] = {
 }
 
 
-@pytest.mark.first_case
 @pytest.mark.parametrize("name", NAMES)
 def test_a_firmware_with_a_defect_fails_the_check_that_is_about_it(name):
     others = () if name not in ALWAYS else ("handshake", "telemetry", "enabling")

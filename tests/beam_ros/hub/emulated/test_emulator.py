@@ -112,7 +112,6 @@ def test_samples_out_of_order_wait_for_those_before_them():
     assert talk(firmware, [late], 25_000_000)[-1].received == 100
 
 
-@pytest.mark.slow
 def test_the_camera_sees_the_emulated_axis_at_host_stamps(tmp_path):
     device = SimulatedDevice(clock_drift_ppm=35.0, clock_start_ns=42_000_000_000)
     rig = DriverRig(AxisParameters(command_mode="velocity"), tmp_path, device=device)

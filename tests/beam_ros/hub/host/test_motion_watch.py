@@ -61,7 +61,6 @@ def test_a_healthy_axis_raises_no_alarm(mode):
     assert faults(MotionWatch(parameters), done) == []
 
 
-@pytest.mark.first_case
 @pytest.mark.parametrize("mode", COMMAND_MODES)
 @pytest.mark.parametrize("resolution", [1e-7, 1e-5, 1e-4])
 def test_lag_noise_and_coarse_steps_of_a_real_axis_raise_no_alarm(mode, resolution):

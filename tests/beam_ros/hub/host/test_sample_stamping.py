@@ -239,7 +239,6 @@ def test_a_pause_that_cannot_be_true_shortens_no_round_trip():
     assert session.clock.mapping.shortest_rtt_ns == before
 
 
-@pytest.mark.first_case
 @pytest.mark.parametrize("name", ["longer back", "UART, 921 600 baud", "busy host"])
 def test_stamps_are_within_a_tenth_of_a_millisecond_and_their_uncertainty_covers(name):
     found = study(LINES[name], 2, 25.0)

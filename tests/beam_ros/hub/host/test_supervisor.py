@@ -167,7 +167,6 @@ def test_a_running_sequence_is_aborted_with_the_reason():
     assert rig.firmware.axis.velocity == 0.0
 
 
-@pytest.mark.slow
 def test_what_was_asked_before_the_fault_is_not_asked_again_after_the_stop():
     rig = LoopbackRig(VELOCITY)
     rig.connect()

@@ -416,7 +416,6 @@ def test_closing_stops_the_axis_without_polls():
     assert rig.firmware.axis.state == "homed"
 
 
-@pytest.mark.first_case
 @pytest.mark.parametrize("mode", ["acceleration", "velocity", "position", "effort"])
 def test_every_command_mode_moves_as_in_the_simulated_hub(mode):
     parameters = dataclasses.replace(PARAMETERS, command_mode=mode)
@@ -487,7 +486,6 @@ def test_a_device_that_could_do_more_obeys_the_rig_file():
     assert 0.045 < abs(rig.firmware.axis.true_position) < 0.05 + 2e-5
 
 
-@pytest.mark.first_case
 @pytest.mark.parametrize(
     ("name", "value"),
     [
@@ -567,7 +565,6 @@ def test_the_watchdog_is_proved_at_rest_before_the_axis_takes_a_command():
     assert rig.reports[-1].status.counters["watchdog_proved"] == 1
 
 
-@pytest.mark.first_case
 @pytest.mark.parametrize("watchdog_s", [0.4, 3.0])
 def test_a_watchdog_that_acts_too_late_is_found_out(watchdog_s):
     # The device says 0.25 s, and keeps another time.

@@ -80,7 +80,6 @@ def test_no_truncated_or_extended_body_passes_for_the_message(message):
             protocol.decode(payload + b"\x01")
 
 
-@pytest.mark.slow
 @given(st.binary(max_size=600))
 @settings(deadline=None, derandomize=True, max_examples=500)
 def test_random_payloads_are_messages_or_protocol_errors(payload):

@@ -121,7 +121,6 @@ def bring_about(axis: VirtualAxis, cause: Cause) -> Outcome:
     return completed.get(LATER, Outcome(True, ""))
 
 
-@pytest.mark.first_case
 @pytest.mark.parametrize("cause", COMMANDS)
 @pytest.mark.parametrize("condition", CONDITIONS, ids=lambda condition: condition.name)
 def test_every_command_does_in_every_condition_what_the_table_says(
@@ -216,7 +215,6 @@ def test_what_the_device_notices_leads_where_the_table_says(
     } == wanted
 
 
-@pytest.mark.first_case
 @pytest.mark.parametrize("condition", CONDITIONS, ids=lambda condition: condition.name)
 @pytest.mark.parametrize("is_fed", [True, False])
 def test_left_alone_no_axis_becomes_enabled(condition: Condition, is_fed: bool) -> None:

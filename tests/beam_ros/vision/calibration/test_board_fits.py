@@ -137,7 +137,6 @@ def test_the_smallest_board_has_three_by_three_corners():
         Board(6, 2, 0.02)
 
 
-@pytest.mark.first_case
 @pytest.mark.parametrize("truth", [(), ("k1",), ("k1", "p1", "p2")])
 def test_the_coefficients_that_corners_support_are_chosen_and_scatter_as_stated(truth):
     rng = np.random.default_rng([7, len(truth)])

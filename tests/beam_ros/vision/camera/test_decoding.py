@@ -69,7 +69,6 @@ def test_pictures_come_in_order_as_they_were_written(tmp_path: Path, codec: str,
     assert worst <= (0 if codec == "FFV1" else 30)
 
 
-@pytest.mark.first_case
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("codec", ["FFV1", "MJPG"])
 def test_damage_marks_pictures_and_changes_none_of_the_others(tmp_path: Path, codec: str, seed: int) -> None:

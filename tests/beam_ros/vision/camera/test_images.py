@@ -49,7 +49,6 @@ def test_mono16_is_read_in_both_byte_orders_and_odd_steps(is_bigendian, padding)
     assert np.array_equal(image, WIDE)
 
 
-@pytest.mark.first_case
 @pytest.mark.parametrize(
     ("encoding", "padding"), [("mono8", 0), ("mono8", 7), ("mono16", 0), ("mono16", 1), ("mono16", 6)]
 )

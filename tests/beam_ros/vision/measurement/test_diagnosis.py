@@ -111,7 +111,6 @@ def interlaced(n_frames: int, swing_px: float, rng: np.random.Generator) -> list
     return frames
 
 
-@pytest.mark.slow
 def test_interlaced_frames_are_said_with_the_remedy() -> None:
     day, rng = _Day(), np.random.default_rng(2)
     for k, frame in enumerate(interlaced(80, 8.0, rng), 1):
@@ -123,7 +122,6 @@ def test_interlaced_frames_are_said_with_the_remedy() -> None:
     assert "camera.exposure" not in report.sentence
 
 
-@pytest.mark.first_case
 @pytest.mark.parametrize("rim_px", [0, 5, 6, 7])
 def test_markers_that_are_rings_are_said_with_the_remedy(rim_px: int) -> None:
     day = _Day()
@@ -242,7 +240,6 @@ def test_a_calibration_that_may_be_of_another_focus_is_a_warning_and_one_that_na
     assert "set camera.focus" in report.sentence
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("stated_s", [0.002, 0.005])
 def test_an_exposure_that_is_stated_too_short_is_a_warning_with_the_likely_one(stated_s) -> None:
     day, renderer, rng = _Day(exposure_s=stated_s), SceneRenderer(CAMERA, HEIGHTS), np.random.default_rng(3)

@@ -64,7 +64,6 @@ def test_repeated_and_past_frames_are_left_out_until_the_clock_was_plainly_set_b
     assert (chain.clock_steps, chain.continuity.repeated) == (1, 1)
 
 
-@pytest.mark.first_case
 @pytest.mark.parametrize(
     ("change", "words"),
     [
@@ -138,7 +137,6 @@ def test_after_a_long_gap_and_with_other_grey_levels_the_markers_are_found_at_on
     assert chain.measure(101 * PERIOD_NS, wide).displacement.x_m == pytest.approx([0.02] * 3, abs=3e-5)
 
 
-@pytest.mark.first_case
 @pytest.mark.parametrize("step", [1, 4, 30])
 def test_missing_frames_and_other_rates_do_not_make_a_covered_marker_a_new_one(step) -> None:
     # A cover of a tenth of the disc moves its centre by a quarter of a pixel.

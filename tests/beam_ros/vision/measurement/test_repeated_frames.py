@@ -39,7 +39,6 @@ def found_in(places: np.ndarray, is_known: np.ndarray | None = None) -> Repeated
     return find_repeated_frames(np.arange(len(places)) * PERIOD, places, np.full(places.shape, SIGMA), known)
 
 
-@pytest.mark.first_case
 @pytest.mark.parametrize("is_known", [False, True])
 @pytest.mark.parametrize("way", ["before", "behind"])
 def test_of_frames_that_share_an_image_those_at_another_time_are_found(way: str, is_known: bool) -> None:

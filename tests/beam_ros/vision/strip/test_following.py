@@ -175,7 +175,6 @@ def test_a_hand_before_the_strip_is_not_measured_and_the_rest_is(bright):
     assert np.isfinite(u[51:]).mean() > 0.98
 
 
-@pytest.mark.slow
 def test_a_bright_thread_beside_the_strip_does_not_take_it_over(bright):
     frames = bright.frames(np.random.default_rng(3)).astype(int)
     frames[:, 100:300, 95] += 100
@@ -185,7 +184,6 @@ def test_a_bright_thread_beside_the_strip_does_not_take_it_over(bright):
     assert np.isfinite(u).mean() > 0.7
 
 
-@pytest.mark.slow
 def test_light_that_falls_to_a_third_and_a_dark_frame_are_got_over(bright):
     light = bright.light * np.where(np.arange(N_FRAMES) < 35, 1.0, 0.35)[:, None, None]
     rng = np.random.default_rng(4)

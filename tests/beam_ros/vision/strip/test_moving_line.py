@@ -112,7 +112,6 @@ def cable(shapes: np.ndarray) -> np.ndarray:
     return 100.0 * (right - left)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "of_height", [lambda z: 1.0 - 0.8 * z, lambda z: np.sin(np.pi * z), lambda z: 1.0 + z**2]
 )

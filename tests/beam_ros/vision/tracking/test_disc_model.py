@@ -202,7 +202,6 @@ def test_a_short_motion_that_bends_is_placed_where_it_was_on_average(length, ben
     assert abs(errors.mean()) < 0.3 * rms(stated)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("smear", [1.0, 2.0, 3.0])
 def test_the_second_moment_of_a_short_smear_is_that_of_its_length(smear):
     film = Film(16.0, even(smear))
@@ -212,7 +211,6 @@ def test_the_second_moment_of_a_short_smear_is_that_of_its_length(smear):
     assert excess == pytest.approx(np.var(film.way), rel=0.02, abs=0.004)
 
 
-@pytest.mark.slow
 def test_a_size_between_those_that_are_tabulated_is_no_slope_of_the_light():
     film = Film(6.0, even(0.0))  # with its blur, half way between two sizes
     film.places = np.full((10, 2), (0.03, 0.0))
@@ -235,7 +233,6 @@ def test_a_smear_that_the_moments_do_not_see_costs_nothing(diameter):
     assert rms(errors - known) < 0.1 * least
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("diameter", [6.0, 12.0, 30.0])
 @pytest.mark.parametrize("noise", [1.0, 10.0])
 def test_the_moments_of_a_disc_at_rest_scatter_no_more_than_is_stated(diameter, noise):
@@ -247,7 +244,6 @@ def test_the_moments_of_a_disc_at_rest_scatter_no_more_than_is_stated(diameter, 
         assert 0.3 < rms((moment - np.median(moment)) / sigma) < 1.15
 
 
-@pytest.mark.slow
 def test_a_rim_of_another_blur_than_expected_costs_nothing_once_some_frames_have_shown_it():
     # The moments of a large disc hardly show how blurred its rim is.
     film = Film(30.0, even(0.0))
@@ -257,7 +253,6 @@ def test_a_rim_of_another_blur_than_expected_costs_nothing_once_some_frames_have
     assert rms(errors / stated) < 1.16
 
 
-@pytest.mark.slow
 def test_shot_noise_is_weighed_and_measured():
     film = Film(12.0, even(0.0))
     errors, _ = film.errors(1.0, 0.4)

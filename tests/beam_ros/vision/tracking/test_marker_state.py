@@ -60,7 +60,6 @@ def test_a_jump_of_all_markers_costs_nothing(start_px, jump_px, n_markers):
     assert frames_lost(camera, renderer, tracker, rng, (start_px + jump_px) * PIXEL) == [0] * n_markers
 
 
-@pytest.mark.slow
 def test_jumps_in_a_row_are_found_every_time():
     camera, renderer, tracker = make()
     rng = np.random.default_rng(72)
@@ -217,7 +216,6 @@ def test_a_single_marker_is_never_believed_to_have_jumped():
     assert moved_together({0: (100.0, 0.0)}, {}, 1, slack_px=24.0, row_slack_px=5.0) == []
 
 
-@pytest.mark.slow
 def test_what_took_a_lost_marker_place_before_the_others_jumped_is_no_part_of_the_jump():
     camera, renderer, tracker = make()
     rng = np.random.default_rng(82)

@@ -220,7 +220,6 @@ def test_a_twin_that_has_left_the_picture_leaves_the_marker_to_be_found_at_once(
     assert np.abs(errors).max() < 0.05
 
 
-@pytest.mark.first_case
 @pytest.mark.parametrize("apart", [15.7, 16.0, 16.3])
 def test_a_marker_that_met_a_twin_is_not_taken_for_what_remains_while_the_other_is_touched(apart):
     # At this distance the twin is alone in its surroundings already, the marker's touch the twin.
@@ -315,7 +314,6 @@ def test_a_twin_is_not_taken_for_the_marker_that_it_met_and_that_is_hidden_while
     assert np.abs(errors).max() < 0.1
 
 
-@pytest.mark.first_case
 @pytest.mark.parametrize("speed", [-16.0, 12.0])
 def test_a_twin_is_not_taken_for_the_marker_that_it_met_where_the_beam_moves_away(speed):
     # The beam as a whole goes farther than a lost marker is looked for, which says nothing about whom to believe.
@@ -353,7 +351,6 @@ def test_a_marker_that_passed_a_twin_at_rest_is_told_from_it_within_three_frames
     assert len(errors) >= 40
 
 
-@pytest.mark.first_case
 @pytest.mark.parametrize("below", [-1.0, 0.7, 3.0])
 def test_a_marker_that_met_a_twin_in_another_row_is_known_by_its_row_once_they_are_apart(below):
     # The twin appears where it touches, and stays near; apart by a diameter and more from frame 40 on.

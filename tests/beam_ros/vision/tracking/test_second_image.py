@@ -146,7 +146,6 @@ def test_where_frames_are_blended_now_and_then_a_frame_that_does_not_tell_is_sta
     assert judged(seconds, [sighting(2.0, 0.4, rng), lost._replace(step=0.0)])[1] == 0.0
 
 
-@pytest.mark.first_case
 @pytest.mark.parametrize("share", [0.2, 0.35, 0.5])
 def test_the_pulls_of_a_film_with_blended_frames_are_as_large_as_is_stated(share):
     rng, scores = np.random.default_rng(7), []

@@ -165,7 +165,6 @@ def test_the_error_does_not_follow_the_sub_pixel_phase_at_full_length():
     assert np.abs(bias).max() <= 0.0003 + 3 * sd
 
 
-@pytest.mark.first_case
 @pytest.mark.parametrize("top", [0.285, 0.225 + 23 / 1500])
 def test_a_hidden_marker_is_flagged_in_the_same_frame_and_found_in_the_first_visible_one(top):
     camera = packaged_camera()
@@ -651,7 +650,6 @@ def test_a_uniform_image_shows_nothing_and_breaks_nothing(grey):
     assert not any(marker.is_valid for marker in tracker.process(blank, 4).markers)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("times", [2, 4])
 def test_an_image_that_comes_again_tells_nothing_of_markers_that_move(times):
     camera = packaged_camera(noise_grey=2.0)
@@ -668,7 +666,6 @@ def test_an_image_that_comes_again_tells_nothing_of_markers_that_move(times):
             assert {marker.reason for marker in result.markers} == {"repeated"}
 
 
-@pytest.mark.first_case
 @pytest.mark.parametrize("noise", [0.0, 2.0])
 def test_a_still_image_may_come_for_ever(noise):
     camera = packaged_camera(noise_grey=noise)
@@ -743,7 +740,6 @@ def seen_at_an_angle(camera: CameraParameters, u: float, aspect: float, rng) -> 
     return np.clip(np.rint(picture + 2.0 * rng.standard_normal(x.shape)), 0, 255).astype(np.uint8)
 
 
-@pytest.mark.first_case
 @pytest.mark.parametrize("aspect", [0.7, 0.8])
 def test_discs_turned_about_the_beam_are_acquired_where_the_rig_says_so(aspect):
     camera, rng = packaged_camera(), np.random.default_rng(16)
@@ -987,7 +983,6 @@ def test_one_marker_in_another_light_than_the_others_is_not_believed():
         assert reasons == (["ok"] * 3 if k < 40 else ["ok", "brightness", "ok"])
 
 
-@pytest.mark.first_case
 @pytest.mark.parametrize("across_px", [-0.1, 0.1])
 def test_a_camera_that_sags_slowly_is_followed(across_px):
     camera = packaged_camera()
@@ -1137,7 +1132,6 @@ def test_a_reflection_that_is_there_first_is_stated_while_it_may_be_a_marker_tha
     assert np.max(np.abs(scores)) < 6.0
 
 
-@pytest.mark.first_case
 @pytest.mark.parametrize(("du", "dv", "share"), [(3.0, 0.0, 0.4), (-3.0, 0.0, 0.5), (2.0, 1.0, 0.3)])
 @pytest.mark.parametrize("swing_px", [0.0, 10.0])
 def test_a_doubled_frame_is_refused_and_the_next_one_is_not(swing_px, du, dv, share):
