@@ -113,6 +113,7 @@ def test_a_cubic_spring_shows_behind_a_noisy_input() -> None:
     assert found.modes[0].frequency_change > 3.0 * found.modes[0].frequency_change_sd
 
 
+@pytest.mark.slow
 def test_stored_words_and_numbers_agree() -> None:
     found = judged(Oscillator(zeta=0.01, hardening=-0.001))
     content = found.to_dict()

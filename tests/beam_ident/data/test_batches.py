@@ -130,11 +130,13 @@ def test_orders_are_selected_on_a_cluster_as_at_home(scheduler):
     assert there.chosen.model.n_poles == here.chosen.model.n_poles == 4
 
 
+@pytest.mark.slow
 def test_a_fault_on_the_cluster_comes_through(scheduler):
     with pytest.raises(ValueError, match="a negative number"):
         map_records(square, [1, -1], scheduler=scheduler)
 
 
+@pytest.mark.slow
 def test_an_address_where_nobody_listens_is_named(monkeypatch):
     pytest.importorskip("distributed")
     monkeypatch.setattr("beam_ident.data.batches._CONNECTION_TIMEOUT_S", 1)

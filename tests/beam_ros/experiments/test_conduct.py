@@ -242,6 +242,7 @@ def _finished(folder: Path) -> int:
     return 0 if state is None else len(state.steps)
 
 
+@pytest.mark.slow
 def test_the_outcome_holds_what_was_estimated_and_the_page_shows_it(whole: Path) -> None:
     outcome = json.loads((whole / "outcome.json").read_text())
     frequencies = [[mode["frequency_hz"] for mode in own["modes"]] for own in outcome["estimates"]]
@@ -416,6 +417,7 @@ def test_the_check_lists_the_steps_and_what_the_beam_will_do(plan: Plan) -> None
     assert "level 0.5, tip at most" in lines[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

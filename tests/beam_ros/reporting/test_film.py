@@ -16,6 +16,7 @@ FRAMES = Path(__file__).resolve().parents[3] / "bags" / "frames"
 N_FRAMES = 227
 
 
+@pytest.mark.slow
 def test_a_bag_without_images_has_no_film(outcome: Identification, tmp_path: Path) -> None:
     assert write_film(outcome, tmp_path / "film.mp4") == ""
     assert list(tmp_path.iterdir()) == []
