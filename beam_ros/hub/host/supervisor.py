@@ -43,10 +43,10 @@ UNSETTLED_BATCHES = 10
 class _Stop:
     """An order to stop; times of waking [ns]."""
 
-    ordered_ns: int
-    rest_by_ns: int
     must_rest: bool
     is_over: bool
+    said_ns: int | None = None
+    rest_by_ns: int = 0
     is_answered: bool = False
     is_contradicted: bool = False
 
@@ -195,7 +195,7 @@ class Supervisor:
             self.report(*crept)
         if self._stop is not None:
             self._stop.is_over = state != "enabled" and activity == "idle"
-            is_late = self._awake_ns > self._stop.rest_by_ns
+            is_late = self._stop.said_ns is not None and self._awake_ns > self._stop.rest_by_ns
             self._stop.is_contradicted = is_late and self._stop.is_answered and not self._stop.is_over
         elif self.fault is not NO_FAULT and state != "enabled" and activity == "idle":
             self._is_stopped = self._is_stopped or not self._is_seen_moving
@@ -209,16 +209,19 @@ class Supervisor:
     # Stops --------------------------------------------------------------------------------------------
 
     def order_stop(self) -> None:
-        """Take note that the host says stop from now on; said again, it gives no more time."""
+        """Take note that the host says stop from now on, and nothing else; said again, it gives no more time."""
         if self._stop is not None:
             return
-        ramp_ns = round(1e9 * self._rest.speed / self._deceleration)
         is_over = self._state != "enabled" and not self._is_homing
         # A hub whose drive is off may be pushed by hand, whatever it was told.
         must_rest = not is_over or self.fault is fault("stop_ignored")
-        self._stop = _Stop(
-            self._awake_ns, self._awake_ns + ramp_ns + REST_NS, must_rest=must_rest, is_over=is_over
-        )
+        self._stop = _Stop(must_rest, is_over)
+
+    def note_stop_said(self) -> None:
+        """Take note that the stop leaves now: its time begins, which is that of the ramp from the present speed."""
+        if self._stop is not None and self._stop.said_ns is None:
+            ramp_ns = round(1e9 * self._rest.speed / self._deceleration)
+            self._stop.said_ns, self._stop.rest_by_ns = self._awake_ns, self._awake_ns + ramp_ns + REST_NS
 
     def note_stop_answered(self) -> None:
         """Take note that the device says that it has stopped."""
@@ -252,12 +255,14 @@ class Supervisor:
 
     def _hold_to(self, stop: _Stop, now_ns: int) -> None:
         """Look whether a stop has come to its time and the axis not to rest."""
-        waited_s = (self._awake_ns - stop.ordered_ns) * 1e-9
+        if stop.said_ns is None:
+            return
+        waited_s = (self._awake_ns - stop.said_ns) * 1e-9
         if self._awake_ns > stop.rest_by_ns and stop.must_rest and self._is_seen_moving:
             seen = f"it moves with {self._rest.speed:.3g} m/s"
         elif stop.is_contradicted:
             seen = "the controller says that it is stopped, and that it is enabled or at work"
-        elif self._awake_ns > stop.ordered_ns + UNANSWERED_NS:
+        elif self._awake_ns > stop.said_ns + UNANSWERED_NS:
             seen = "the controller did not answer"
         else:
             return

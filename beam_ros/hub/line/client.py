@@ -269,6 +269,7 @@ class HubClient:
         if not self._connection.is_up:
             return
         if self._supervisor.is_stopping:
+            self._supervisor.note_stop_said()
             for request in self._requests.due(now_ns, stops_alone=True):
                 yield protocol.Request(*request)
             return

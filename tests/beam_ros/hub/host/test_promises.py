@@ -151,6 +151,30 @@ def test_a_disabled_hub_that_is_pushed_by_hand_may_be_told_to_stop():
     assert rig.run(1.0)[-1].status.state == "homed"
 
 
+def test_a_stop_waits_for_a_connection_that_takes_long_to_come_up():
+    rig = LoopbackRig(PARAMETERS)
+    is_held = [True]
+
+    def without_limits(data: bytes) -> bytes:
+        return b"".join(
+            protocol.encode(message)
+            for message in map(protocol.decode, FrameDecoder().feed(data))
+            if not (is_held[0] and isinstance(message, protocol.LimitsReply))
+        )
+
+    rig.to_host = without_limits
+    rig.run(0.1)
+    requested = rig.hub.request("stop")
+    reports = rig.run(1.5)
+    is_held[0] = False
+    reports += rig.run(2.0)
+    (outcome,) = [
+        outcome for report in reports for number, outcome in report.completed if number == requested
+    ]
+    assert outcome.success, outcome.message
+    assert reports[-1].status.fault.name == "none"
+
+
 def test_an_axis_at_rest_is_stopped_at_once():
     rig = LoopbackRig(PARAMETERS)
     rig.connect()
