@@ -200,6 +200,10 @@ class Supervisor:
         elif self.fault is not NO_FAULT and state != "enabled" and activity == "idle":
             self._is_stopped = self._is_stopped or not self._is_seen_moving
 
+    def note_fault(self, cause: Fault) -> None:
+        """Take why the device says that it stopped; where that loses home, it does whatever the device believes."""
+        self.has_lost_home = self.has_lost_home or cause.needs_home
+
     def note_done(self, kind: RequestKind | None) -> None:
         """Take note that the device did what it was asked for."""
         if kind == "home":

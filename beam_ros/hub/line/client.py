@@ -349,6 +349,8 @@ class HubClient:
 
     def _on_status(self, status: protocol.Status, received_ns: int) -> None:
         before, self._device = self._device, status
+        if before is None or status.fault_number != before.fault_number:
+            self._supervisor.note_fault(fault_of(status.fault_number))
         self._supervisor.note_status(status.state, status.activity, status.tick)
         self._end_stops()
         was_up = self._connection.is_up

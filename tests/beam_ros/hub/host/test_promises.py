@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 
+from beam_ros.hub.faults import fault
 from beam_ros.hub.line import protocol
 from beam_ros.hub.line.framing import FrameDecoder
 from beam_ros.hub.parameters import AxisParameters
@@ -304,3 +306,33 @@ def test_a_held_hub_that_creeps_is_seen_when_it_has_left_its_place(speed, mode):
     assert rig.reports[-1].status.fault.name == "motion_unexplained"
     crept = abs(speed) * (rig.steady_ns - start_ns) * 1e-9
     assert crept < PARAMETERS.max_following_error + 0.06 * abs(speed) + 1e-4
+
+
+@pytest.mark.parametrize("name", ["end_switch", "encoder_lost", "following_error"])
+def test_a_fault_of_the_device_that_loses_home_asks_for_it_whatever_the_device_believes(name):
+    rig = LoopbackRig(PARAMETERS)
+    rig.connect()
+    rig.enable()
+    assert rig.ask("disable").success
+
+    def says(number: int) -> Callable[[bytes], bytes]:
+        def change(data: bytes) -> bytes:
+            messages = map(protocol.decode, FrameDecoder().feed(data))
+            return b"".join(
+                protocol.encode(
+                    dataclasses.replace(own, fault_number=number) if isinstance(own, protocol.Status) else own
+                )
+                for own in messages
+            )
+
+        return change
+
+    rig.to_host = says(fault(name).number)
+    rig.run(0.2)
+    rig.to_host = says(0)  # cleared, and the device believes that it knows where it is
+    rig.run(0.2)
+    outcome = rig.ask("enable")
+    assert not outcome.success
+    assert "home it first" in outcome.message
+    for kind in ("home", "enable"):
+        assert rig.ask(kind).success
