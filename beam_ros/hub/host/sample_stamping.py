@@ -282,9 +282,10 @@ class SampleStamping:
         stamp_ns = 0
         if clock is not None and self._may_stamp(device_ns, received_ns):
             stamp_ns = clock.stamp_ns(mapping.host_ns(device_ns))
-            self._device_clock.ticks.take_age(
-                received_ns - mapping.host_ns(device_ns + length_ns), received_ns
-            )
+            if self._device_clock.sd_ns(received_ns) < self._device_clock.max_sd_ns:
+                self._device_clock.ticks.take_age(
+                    received_ns - mapping.host_ns(device_ns + length_ns), received_ns
+                )
         if stamp_ns <= self._last_stamp_ns:
             counters["unstamped_batches"] += 1
             return lost

@@ -9,6 +9,8 @@ WINDOW_NS = 1_000_000_000
 """The least age of samples is taken over so long: a busy computer lets some wait, never all."""
 LATE_NS = 1_000_000
 """What ticks may be late beyond what the line explains [ns]: stamps that are wrong by more spoil an experiment."""
+_WINDOWS = 2
+"""So many windows in a row are believed."""
 _TRIPS = 64
 """Round trips that say what the line can explain: of the last 13 s."""
 
@@ -36,6 +38,7 @@ class TickWatch:
         self._least_age_ns: int | None = None
         self._age_ns: int | None = None
         self._since_ns: int | None = None
+        self._n_wrong = 0
 
     def take_trip(self, round_trip_ns: int) -> None:
         """Take how long a question and its answer were on the line [ns]."""
@@ -44,7 +47,7 @@ class TickWatch:
         self._least_trip_ns = round_trip_ns if least_ns is None else min(least_ns, round_trip_ns)
 
     def take_age(self, age_ns: int, now_ns: int) -> None:
-        """Take how long before now the newest tick ended, by the clock [ns]."""
+        """Take how long before now the newest tick ended, by a clock that is known well enough [ns]."""
         if self._since_ns is None:
             self._since_ns = now_ns
         self._age_ns = age_ns if self._age_ns is None else min(self._age_ns, age_ns)
@@ -54,8 +57,9 @@ class TickWatch:
         self._least_age_ns = age_ns if self._least_age_ns is None else min(self._least_age_ns, age_ns)
         explained_ns = max(self._trips_ns) - self._least_trip_ns
         late_ns = age_ns - self._least_age_ns - explained_ns
-        early_ns = -age_ns - self._least_trip_ns
-        if max(late_ns, early_ns) > LATE_NS:
+        early_ns = -age_ns - self._least_trip_ns - explained_ns
+        self._n_wrong = self._n_wrong + 1 if max(late_ns, early_ns) > LATE_NS else 0
+        if self._n_wrong >= _WINDOWS:
             where = "behind" if late_ns > early_ns else "ahead of"
             self._report(
                 "clock_jumped",
