@@ -58,6 +58,11 @@ class Requests:
         Say how long the motions take that are asked for.
     report : callable
         Takes the name of a fault and what was seen: that the device works on a request for ever.
+
+    Attributes
+    ----------
+    closing_id : int
+        The stop that closing asked for, whose end only ``is_closed`` reports; 0 until then.
     """
 
     def __init__(self, parameters: AxisParameters, report: Callable[[str, str], None]) -> None:

@@ -6,13 +6,12 @@ from collections import deque
 
 import numpy as np
 
+from beam_ros.hub.host.motion_watch import NOISE_COUNTS
 from beam_ros.hub.parameters import AxisParameters
 from beam_ros.hub.ticks import TickBatch
 
 REST_S = 0.05
 """A hub rests that has not moved for so long [s]."""
-REST_COUNTS = 16
-"""What an encoder may jump at rest [encoder_resolution]."""
 
 
 class RestWatch:
@@ -41,7 +40,7 @@ class RestWatch:
     @property
     def is_at_rest(self) -> bool:
         """Whether the hub has been seen at rest for 50 ms."""
-        return self._is_full and max(self._counts) - min(self._counts) <= REST_COUNTS
+        return self._is_full and max(self._counts) - min(self._counts) <= NOISE_COUNTS
 
     @property
     def is_moving(self) -> bool:

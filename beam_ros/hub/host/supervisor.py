@@ -135,7 +135,11 @@ class Supervisor:
 
     def note_applied(self, applied: FloatArray) -> None:
         """Take what the device says that it applied, number or not; what is none goes nowhere else."""
-        for is_number in np.isfinite(applied).tolist():
+        are_numbers = np.isfinite(applied)
+        if np.all(are_numbers):
+            self._n_no_numbers = 0
+            return
+        for is_number in are_numbers.tolist():
             self._n_no_numbers = 0 if is_number else self._n_no_numbers + 1
             if self._n_no_numbers >= NO_NUMBERS:
                 self.report("not_finite", f"{NO_NUMBERS} ticks in a row without a number of what was applied")
@@ -189,15 +193,24 @@ class Supervisor:
             self._unsettle()
         self._state, self._is_homing = state, is_homing
         self._told_ns = self._awake_ns
-        if state != "enabled" or activity != "hold":
+        self._watch_hold(tick if state == "enabled" and activity == "hold" else None)
+        self._watch_stop(is_over=state != "enabled" and activity == "idle")
+
+    def _watch_hold(self, held_until: int | None) -> None:
+        """Take until which tick the device says that it holds the hub; None where it does not."""
+        if held_until is None:
             self._hold.forget()
-        elif (crept := self._hold.find(tick)) is not None:
+        elif (crept := self._hold.find(held_until)) is not None:
             self.report(*crept)
-        if self._stop is not None:
-            self._stop.is_over = state != "enabled" and activity == "idle"
-            is_late = self._stop.said_ns is not None and self._awake_ns > self._stop.rest_by_ns
-            self._stop.is_contradicted = is_late and self._stop.is_answered and not self._stop.is_over
-        elif self.fault is not NO_FAULT and state != "enabled" and activity == "idle":
+
+    def _watch_stop(self, *, is_over: bool) -> None:
+        """Take whether the device says that nothing moves the axis any more."""
+        stop = self._stop
+        if stop is not None:
+            stop.is_over = is_over
+            is_late = stop.said_ns is not None and self._awake_ns > stop.rest_by_ns
+            stop.is_contradicted = is_late and stop.is_answered and not is_over
+        elif is_over and self.fault is not NO_FAULT:
             self._is_stopped = self._is_stopped or not self._is_seen_moving
 
     def note_fault(self, cause: Fault) -> None:

@@ -382,7 +382,6 @@ class HubClient:
     def _stop(self, kind: RequestKind, reason: str) -> int:
         """Drop all that is under way; tell the device to stop, and nothing else, until the axis is seen at rest."""
         self._setpoints.drop()
-        self._gate.abort_loading(reason)
         self._stream.lose(reason)
         self._supervisor.order_stop()
         return self._requests.begin(kind)

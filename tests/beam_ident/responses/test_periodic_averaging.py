@@ -63,9 +63,8 @@ def test_a_period_with_a_long_hole_is_left_out():
     record = siso_record(n_periods=4)
     output = record.outputs[0]
     is_lost = (output.times_s > 34.0) & (output.times_s < 34.2)
-    values = np.where(
-        is_lost, np.nan, output.values + 5.0
-    )  # an offset is no drift, whichever periods are kept
+    # An offset is not a drift, whichever periods are kept.
+    values = np.where(is_lost, np.nan, output.values + 5.0)
     lines = LINES_HZ[LINES_HZ < 30.0]
     holey = TimeRecord(record.inputs, (dataclasses.replace(output, values=values),))
     found = periodic_response(holey, LINE_PERIOD_S, lines)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import random
 import time
 from collections.abc import Callable
@@ -14,12 +15,16 @@ from beam_ros.hub.emulated.controller import EmulatedController
 from beam_ros.hub.emulated.emulator import EmulatedFirmware
 from beam_ros.hub.faults import fault
 from beam_ros.hub.gate.beam_guard import BeamGuard
+from beam_ros.hub.line import protocol
 from beam_ros.hub.line.client import HubClient
 from beam_ros.hub.line.driver import DriverHub
+from beam_ros.hub.line.framing import FrameDecoder, encode_frame
 from beam_ros.hub.parameters import AxisParameters, LinkParameters, SimulatedDevice
 from beam_ros.hub.simulated.axis import VirtualAxis
 from beam_ros.hub.simulated.plant import RigidPlant
 from beam_ros.hub.simulated.simulated_hub import SimulatedHub
+
+Change = Callable[[protocol.Message], "protocol.Message | bytes | None"]
 
 UNIX_START = 1_700_000_000_000_000_000
 STEADY_START = 5_000_000_000
@@ -47,6 +52,39 @@ def chunks_of(
         )
         for k in range(count)
     ]
+
+
+def altered(change: Change) -> Callable[[bytes], bytes]:
+    """Return a line on which every message is changed, replaced by a payload, or dropped."""
+
+    def line(data: bytes) -> bytes:
+        out = b""
+        for payload in FrameDecoder().feed(data):
+            changed = change(protocol.decode(payload))
+            if isinstance(changed, bytes):
+                out += encode_frame(changed)
+            elif changed is not None:
+                out += protocol.encode(changed)
+        return out
+
+    return line
+
+
+def only(kind: type, change: Change) -> Callable[[bytes], bytes]:
+    return altered(lambda message: change(message) if isinstance(message, kind) else message)
+
+
+def frozen() -> Change:
+    stuck: list[np.ndarray] = []
+
+    def change(message: protocol.Telemetry) -> protocol.Telemetry:
+        ticks = message.ticks
+        stuck.append(ticks.position_counts)
+        return protocol.Telemetry(
+            dataclasses.replace(ticks, position_counts=np.full(len(ticks), stuck[0][0], dtype=np.int64))
+        )
+
+    return change
 
 
 def enabled_axis(parameters: AxisParameters, plant: object = None, **options: int) -> VirtualAxis:

@@ -10,37 +10,29 @@ import pytest
 
 from beam_ros.hub.faults import fault
 from beam_ros.hub.line import protocol
-from beam_ros.hub.line.framing import FrameDecoder
 from beam_ros.hub.parameters import AxisParameters
-from tests.beam_ros.hub.hub_scenes import LoopbackRig, chunks_of, rest_to_rest
+from tests.beam_ros.hub.hub_scenes import LoopbackRig, altered, chunks_of, frozen, only, rest_to_rest
 
 PARAMETERS = AxisParameters()
 VELOCITY = dataclasses.replace(PARAMETERS, command_mode="velocity")
 STOPS = ("stop", "disable")
 
 
-class DeafTo:
-    """A device that ignores some requests, and says what it is told to say of them; notes what else it is sent."""
+class Deaf:
+    """A device that ignores stops, and says what it is told to say of them; notes what else it is sent."""
 
-    def __init__(self, rig: LoopbackRig, answer: str = "", kinds: tuple[str, ...] = STOPS) -> None:
-        self.rig, self.answer, self.kinds = rig, answer, kinds
+    def __init__(self, rig: LoopbackRig, answer: str = "") -> None:
+        self.answer = answer
         self.asked: list[int] = []
         self.heard: list[protocol.Message] = []
-        rig.to_device, rig.to_host = self.to_device, self.to_host
+        rig.to_device, rig.to_host = altered(self.hear), self.to_host
 
-    def to_device(self, data: bytes) -> bytes:
-        passed = b""
-        for payload in FrameDecoder().feed(data):
-            message = protocol.decode(payload)
-            if isinstance(message, protocol.Request) and message.kind in self.kinds:
-                self.asked.append(message.number)
-                passed += protocol.encode(
-                    protocol.Heartbeat()
-                )  # it is heard, and keeps the watchdog from acting
-                continue
-            self.heard.append(message)
-            passed += protocol.encode(message)
-        return passed
+    def hear(self, message: protocol.Message) -> protocol.Message:
+        if isinstance(message, protocol.Request) and message.kind in STOPS:
+            self.asked.append(message.number)
+            return protocol.Heartbeat()  # what is heard keeps the watchdog from acting
+        self.heard.append(message)
+        return message
 
     def to_host(self, data: bytes) -> bytes:
         said = [protocol.RequestReply(number, self.answer, "") for number in self.asked if self.answer]
@@ -63,11 +55,23 @@ def playing(seconds: float = 3.0) -> LoopbackRig:
     return rig
 
 
+def creeping(rig: LoopbackRig, speed: float) -> Callable[[bytes], bytes]:
+    """A line on which the hub moves as nobody commands, from now on [m/s]."""
+    start_ns = rig.steady_ns
+
+    def change(message: protocol.Telemetry) -> protocol.Telemetry:
+        way = speed * (rig.steady_ns - start_ns) * 1e-9 / PARAMETERS.encoder_resolution
+        counts = message.ticks.position_counts + round(way)
+        return protocol.Telemetry(dataclasses.replace(message.ticks, position_counts=counts))
+
+    return only(protocol.Telemetry, change)
+
+
 @pytest.mark.parametrize("kind", STOPS)
 @pytest.mark.parametrize("answer", ["", "success", "pending"])
 def test_a_stop_that_the_device_ignores_is_a_fault_a_false_answer_and_silence(kind, answer):
     rig = playing()
-    deaf = DeafTo(rig, answer)
+    deaf = Deaf(rig, answer)
     ordered_ns, speed = rig.steady_ns, abs(rig.firmware.axis.velocity)
     outcome = rig.ask(kind)
     waited_s = (rig.steady_ns - ordered_ns) * 1e-9
@@ -93,7 +97,7 @@ def test_set_points_are_refused_while_the_axis_comes_to_rest_and_none_is_sent(an
     for _ in range(10):
         rig.hub.setpoint(rig.now.unix_ns, 0.02, rig.now)
         rig.run(0.05)
-    deaf = DeafTo(rig, answer)
+    deaf = Deaf(rig, answer)
     rig.hub.request("stop")
     outcomes = []
     for _ in range(4):
@@ -119,7 +123,7 @@ def test_a_stop_that_acts_is_answered_when_the_axis_is_seen_at_rest(kind):
 
 def test_a_stop_that_is_asked_for_again_and_again_gains_no_time():
     rig = playing()
-    deaf = DeafTo(rig, "success")
+    deaf = Deaf(rig, "success")
     for _ in range(20):
         rig.hub.request("stop")
         rig.run(0.05)
@@ -134,20 +138,7 @@ def test_a_disabled_hub_that_is_pushed_by_hand_may_be_told_to_stop():
     rig.connect()
     rig.enable()
     assert rig.ask("disable").success
-    start_ns = rig.steady_ns
-
-    def pushed(data: bytes) -> bytes:
-        out = b""
-        for payload in FrameDecoder().feed(data):
-            message = protocol.decode(payload)
-            if isinstance(message, protocol.Telemetry):
-                way = 0.02 * (rig.steady_ns - start_ns) * 1e-9 / PARAMETERS.encoder_resolution
-                counts = message.ticks.position_counts + round(way)
-                message = protocol.Telemetry(dataclasses.replace(message.ticks, position_counts=counts))
-            out += protocol.encode(message)
-        return out
-
-    rig.to_host = pushed
+    rig.to_host = creeping(rig, 0.02)
     rig.run(0.2)
     assert rig.ask("stop").success
     assert rig.run(1.0)[-1].status.state == "homed"
@@ -157,14 +148,7 @@ def test_a_stop_waits_for_a_connection_that_takes_long_to_come_up():
     rig = LoopbackRig(PARAMETERS)
     is_held = [True]
 
-    def without_limits(data: bytes) -> bytes:
-        return b"".join(
-            protocol.encode(message)
-            for message in map(protocol.decode, FrameDecoder().feed(data))
-            if not (is_held[0] and isinstance(message, protocol.LimitsReply))
-        )
-
-    rig.to_host = without_limits
+    rig.to_host = only(protocol.LimitsReply, lambda message: None if is_held[0] else message)
     rig.run(0.1)
     requested = rig.hub.request("stop")
     reports = rig.run(1.5)
@@ -195,20 +179,13 @@ def test_what_was_applied_and_is_no_number_blinds_nothing(value, ticks):
     reports_before = len(rig.reports)
     left = [ticks]
 
-    def spoil(data: bytes) -> bytes:
-        out = b""
-        for payload in FrameDecoder().feed(data):
-            message = protocol.decode(payload)
-            if isinstance(message, protocol.Telemetry) and left[0] > 0:
-                own = message.ticks
-                applied = own.applied.copy()
-                applied[: left[0]] = value
-                left[0] -= len(applied)
-                message = protocol.Telemetry(dataclasses.replace(own, applied=applied))
-            out += protocol.encode(message)
-        return out
+    def spoil(message: protocol.Telemetry) -> protocol.Telemetry:
+        applied = message.ticks.applied.copy()
+        applied[: max(left[0], 0)] = value
+        left[0] -= len(applied)
+        return protocol.Telemetry(dataclasses.replace(message.ticks, applied=applied))
 
-    rig.to_host = spoil
+    rig.to_host = only(protocol.Telemetry, spoil)
     rig.run(0.3)
     assert all(
         np.all(np.isfinite(batch.accelerations))
@@ -220,21 +197,7 @@ def test_what_was_applied_and_is_no_number_blinds_nothing(value, ticks):
         return
     assert rig.reports[-1].status.state == "enabled"
     # The watch is not blind afterwards: a hub that stands still is seen.
-    stuck: list[int] = []
-
-    def freeze(data: bytes) -> bytes:
-        out = b""
-        for payload in FrameDecoder().feed(data):
-            message = protocol.decode(payload)
-            if isinstance(message, protocol.Telemetry):
-                own = message.ticks
-                stuck.append(int(own.position_counts[0]))
-                still = np.full(len(own), stuck[0], dtype=np.int64)
-                message = protocol.Telemetry(dataclasses.replace(own, position_counts=still))
-            out += protocol.encode(message)
-        return out
-
-    rig.to_host = freeze
+    rig.to_host = only(protocol.Telemetry, frozen())
     rig.run(0.7)
     assert rig.reports[-1].status.fault.name == "motion_unexplained"
 
@@ -244,23 +207,18 @@ class Misses:
 
     def __init__(self, rig: LoopbackRig, one_in: int) -> None:
         self.one_in, self.n_seen, self.n_missed = one_in, 0, 0
-        rig.to_host = self.to_host
+        rig.to_host = altered(self.say)
 
-    def to_host(self, data: bytes) -> bytes:
-        out = b""
-        for payload in FrameDecoder().feed(data):
-            message = protocol.decode(payload)
-            if isinstance(message, protocol.Telemetry):
-                ticks = message.ticks
-                before = self.n_missed
-                self.n_seen += len(ticks)
-                self.n_missed = self.n_seen // self.one_in
-                kept = ticks[self.n_missed - before :]
-                message = protocol.Telemetry(dataclasses.replace(kept, first_tick=ticks.first_tick - before))
-            elif isinstance(message, protocol.Status):
-                message = dataclasses.replace(message, tick=message.tick - self.n_missed)
-            out += protocol.encode(message)
-        return out
+    def say(self, message: protocol.Message) -> protocol.Message:
+        if isinstance(message, protocol.Telemetry):
+            ticks, before = message.ticks, self.n_missed
+            self.n_seen += len(ticks)
+            self.n_missed = self.n_seen // self.one_in
+            kept = ticks[self.n_missed - before :]
+            return protocol.Telemetry(dataclasses.replace(kept, first_tick=ticks.first_tick - before))
+        if isinstance(message, protocol.Status):
+            return dataclasses.replace(message, tick=message.tick - self.n_missed)
+        return message
 
 
 @pytest.mark.parametrize("one_in", [100, 500, 5000])
@@ -289,19 +247,7 @@ def test_a_held_hub_that_creeps_is_seen_when_it_has_left_its_place(speed, mode):
     rig.enable()
     rig.run(0.2)
     start_ns = rig.steady_ns
-
-    def creep(data: bytes) -> bytes:
-        out = b""
-        for payload in FrameDecoder().feed(data):
-            message = protocol.decode(payload)
-            if isinstance(message, protocol.Telemetry):
-                way = speed * (rig.steady_ns - start_ns) * 1e-9 / PARAMETERS.encoder_resolution
-                counts = message.ticks.position_counts + round(way)
-                message = protocol.Telemetry(dataclasses.replace(message.ticks, position_counts=counts))
-            out += protocol.encode(message)
-        return out
-
-    rig.to_host = creep
+    rig.to_host = creeping(rig, speed)
     rig.until(lambda report: report.status.state == "fault")
     assert rig.reports[-1].status.fault.name == "motion_unexplained"
     crept = abs(speed) * (rig.steady_ns - start_ns) * 1e-9
@@ -316,16 +262,7 @@ def test_a_fault_of_the_device_that_loses_home_asks_for_it_whatever_the_device_b
     assert rig.ask("disable").success
 
     def says(number: int) -> Callable[[bytes], bytes]:
-        def change(data: bytes) -> bytes:
-            messages = map(protocol.decode, FrameDecoder().feed(data))
-            return b"".join(
-                protocol.encode(
-                    dataclasses.replace(own, fault_number=number) if isinstance(own, protocol.Status) else own
-                )
-                for own in messages
-            )
-
-        return change
+        return only(protocol.Status, lambda message: dataclasses.replace(message, fault_number=number))
 
     rig.to_host = says(fault(name).number)
     rig.run(0.2)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -14,34 +13,22 @@ from beam_ros.hub.faults import FAULTS
 from beam_ros.hub.host.supervisor import Supervisor
 from beam_ros.hub.journal import Journal
 from beam_ros.hub.line import protocol
-from beam_ros.hub.line.framing import FrameDecoder, encode_frame
 from beam_ros.hub.parameters import COMMAND_MODES, AxisParameters, SimulatedDevice
 from beam_ros.hub.ticks import TickBatch
-from tests.beam_ros.hub.hub_scenes import DRIFTING, DriverRig, LoopbackRig, Rig, chunks_of, rest_to_rest
+from tests.beam_ros.hub.hub_scenes import (
+    DRIFTING,
+    Change,
+    DriverRig,
+    LoopbackRig,
+    Rig,
+    chunks_of,
+    frozen,
+    only,
+    rest_to_rest,
+)
 
 PARAMETERS = AxisParameters()
 VELOCITY = dataclasses.replace(PARAMETERS, command_mode="velocity")
-Change = Callable[[protocol.Message], "protocol.Message | bytes | None"]
-
-
-def altered(change: Change) -> Callable[[bytes], bytes]:
-    """Return a line on which every message is changed, replaced by a payload, or dropped."""
-
-    def line(data: bytes) -> bytes:
-        out = b""
-        for payload in FrameDecoder().feed(data):
-            changed = change(protocol.decode(payload))
-            if isinstance(changed, bytes):
-                out += encode_frame(changed)
-            elif changed is not None:
-                out += protocol.encode(changed)
-        return out
-
-    return line
-
-
-def only(kind: type, change: Change) -> Callable[[bytes], bytes]:
-    return altered(lambda message: change(message) if isinstance(message, kind) else message)
 
 
 def honest(data: bytes) -> bytes:
@@ -76,19 +63,6 @@ def shifted(by_m: float) -> Change:
     def change(message: protocol.Telemetry) -> protocol.Telemetry:
         ticks = message.ticks
         return protocol.Telemetry(dataclasses.replace(ticks, position_counts=ticks.position_counts + counts))
-
-    return change
-
-
-def frozen() -> Change:
-    stuck: list[np.ndarray] = []
-
-    def change(message: protocol.Telemetry) -> protocol.Telemetry:
-        ticks = message.ticks
-        stuck.append(ticks.position_counts)
-        return protocol.Telemetry(
-            dataclasses.replace(ticks, position_counts=np.full(len(ticks), stuck[0][0], dtype=np.int64))
-        )
 
     return change
 

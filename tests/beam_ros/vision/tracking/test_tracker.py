@@ -1092,7 +1092,7 @@ def test_what_a_demosaiced_picture_adds_to_the_moments_is_no_second_image(swing_
 @pytest.mark.first_case
 @pytest.mark.parametrize(
     ("du", "dv", "strength", "swing_px", "noise"),
-    [  # every pair of two of the four
+    [  # every place with every strength; at rest, under more noise and in motion by turns
         (3.0, 0.0, 0.2, 0.0, 2.0),
         (3.0, 0.0, 0.35, 0.0, 5.0),
         (3.0, 0.0, 0.5, 10.0, 2.0),
