@@ -35,10 +35,14 @@ REMOTE = ["fsspec>=2024.2", "s3fs>=2024.2"]
 # The table of a study as a Parquet file (`beam study`; `--csv` does without).
 STUDY = ["pyarrow>=14"]
 
+# Measurements of other programs: universal files, TDMS, and MATLAB files of version 7.3, which are HDF5. CSV, NPZ and
+# older MATLAB files need none of these.
+FILES = ["pyuff>=2.4", "npTDMS>=1.7", "h5py>=3.10"]
+
 # setuptools 80 dropped the `develop` command that `colcon build --symlink-install` calls; from 70.1 on it makes
 # wheels by itself, so that a package can be installed offline.
 TEST = [
-    "pytest>=8",
+    "pytest>=8.2",
     "pytest-xdist>=3.4",
     "hypothesis>=6.100",
     "control>=0.10",
@@ -48,6 +52,7 @@ TEST = [
     "setuptools>=70.1,<80",
     *DASK,
     *STUDY,
+    *FILES,
 ]
 
 # Pages in a real browser (`make verify`); a Chromium must be installed, and is not brought along.
@@ -139,6 +144,7 @@ setup(
     packages=find_packages(include=["beam_*"]),
     package_data={
         "": ["py.typed", "*.pyi"],
+        "beam_ident": ["report/page.html", "report/page.css"],
         PACKAGE: [
             "config/*.yaml",
             "config/*.xml",
@@ -146,6 +152,7 @@ setup(
             "config/cameras/*.yaml",
             "config/viewers/*",
             "experiments/plans/*.yaml",
+            "model_files/*.c",
         ],
     },
     data_files=[
@@ -170,6 +177,7 @@ setup(
         "mcap>=1.1",
         "ruamel.yaml>=0.17.21",
         "tqdm>=4.60",
+        "jinja2>=3.0",
         "matplotlib>=3.6",  # Ubuntu 24.04's
     ],
     extras_require={
@@ -178,6 +186,7 @@ setup(
         "test": TEST,
         "dask": DASK,
         "study": STUDY,
+        "files": FILES,
         "compiled": COMPILED,
         "remote": REMOTE,
         "dev": DEV,

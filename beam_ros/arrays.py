@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Float32Array = NDArray[np.float32]
+BoolArray = NDArray[np.bool_]
 IndexArray = NDArray[np.intp]
 Int32Array = NDArray[np.int32]
 ByteArray = NDArray[np.uint8]

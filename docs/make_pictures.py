@@ -35,17 +35,21 @@ from beam_ident.figures import (
     stabilisation_figure,
 )
 from beam_ident.figures.response_curves import drawing_lines, response_curves
-from beam_ident.report.evidence import mode_rows
 from beam_ident.responses.local_polynomial import local_polynomial_response
 from beam_ros.bags.reading import Bag
 from beam_ros.checks.bag_check import gates_of_bag
+from beam_ros.excitation.shaping import MoveOrder, shape_for_rig, unshaped_beside
+from beam_ros.experiments.quiet_moves import swings_figure
 from beam_ros.messages import BagTypes
+from beam_ros.offline.axis_following import following_of_bag
 from beam_ros.offline.identification import identification_of_bags
 from beam_ros.offline.loading.experiment import load_experiment
 from beam_ros.offline.loading.options import FitOptions
 from beam_ros.offline.simulation import simulate
+from beam_ros.offline.swing_after import swing_after
+from beam_ros.offline.theory import theory_of_rig
 from beam_ros.offline.whole_beam import strip_parameters
-from beam_ros.reporting.theory import theory_of_rig
+from beam_ros.reporting.move_figures import insensitivity_figure
 from beam_ros.rig.rig import Rig
 from beam_ros.studies.rows import Item, Settings, find_bags, study_row
 from beam_ros.studies.summary import deviation_figure
@@ -140,7 +144,7 @@ def identification_pictures() -> dict[str, Figure]:
     lines = drawing_lines((result.model,), 1.0, 350.0)
     curves = response_curves(result.model, lines)
     measured = local_polynomial_response(recorded.record)
-    theory = theory_of_rig(recorded.rig, recorded.structure, mode_rows((result.model,)))
+    theory = theory_of_rig(recorded.rig, recorded.structure, recorded.apparatus.is_simulated)
     heights = np.array([theory.places[name] for name in result.model.output_names])
     shapes = mode_shape_figure(
         [f"mode {k + 1}" for k in range(result.model.n_modes)],
@@ -329,6 +333,28 @@ def thesis_picture() -> Figure:
     return bode(data, data.points[1])
 
 
+def quiet_move_pictures() -> dict[str, Figure]:
+    """Draw what the page on quiet moves shows: what moves leave over the error of frequency, and both swings."""
+    rig = Rig.from_file().with_values({"simulation.images": False})
+    order = MoveOrder(0.0, 0.05, 20e-6)
+    with tempfile.TemporaryDirectory() as folder:
+        bags = {name: Path(folder) / name for name in ("first", "unshaped", "shaped")}
+        simulate(rig, bags["first"])
+        model = identification_of_bags(bags["first"], options=FitOptions(n_modes=3)).result.model
+        found = shape_for_rig(rig, order, model, axis=following_of_bag(bags["first"]))
+        rigs = {"unshaped": unshaped_beside(found), "shaped": found.rig}
+        for name, own in rigs.items():
+            simulate(own.with_values({"excitation.still": 0.1}), bags[name])
+        seen = {name: swing_after(bags[name], model) for name in rigs}
+    low, high = found.choice.chosen.residual.interval
+    worst = found.choice.chosen.residual.worst
+    swings = {name: (own.times_s, own.deflections[:, worst]) for name, own in seen.items()}
+    return {
+        "quiet-move": swings_figure(swings, (low[worst], high[worst]), order.aim),
+        "insensitivity": insensitivity_figure(found.choice),
+    }
+
+
 def make_pictures(folder: Path) -> list[Path]:
     """Write every picture into a folder and return the files."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -343,6 +369,7 @@ def make_pictures(folder: Path) -> list[Path]:
         "best-linear": best_linear_picture(),
         "whole-beam": whole_beam_picture(Rig.from_file()),
         "thesis": thesis_picture(),
+        **quiet_move_pictures(),
     }
     files = []
     for name, figure in figures.items():

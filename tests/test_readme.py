@@ -17,7 +17,9 @@ README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 def test_every_module_of_a_verb_is_listed() -> None:
     for listed, folder in ((LIVE, "live"), (OFFLINE, "offline"), (RESULTS, "results")):
-        modules = {path.stem for path in (ROOT / "beam_ros" / "cli" / folder).glob("*.py")} - {"__init__"}
+        paths = (ROOT / "beam_ros" / "cli" / folder).glob("*.py")
+        # A verb that is a word of Python has a line behind its module's name.
+        modules = {path.stem.rstrip("_") for path in paths if path.stem != "__init__"}
         assert modules == set(listed)
 
 

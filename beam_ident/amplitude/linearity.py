@@ -25,8 +25,9 @@ from beam_ident.amplitude.measured_input import disturbances_of, noisy_band_hz
 from beam_ident.arrays import ComplexArray, FloatArray, IndexArray
 from beam_ident.data.argument_checks import require_signals
 from beam_ident.data.records import TimeRecord, busiest_stretch
+from beam_ident.modal.block_rows import ColumnBlock
 from beam_ident.modal.model import ModalModel
-from beam_ident.modal.regression import ColumnBlock, ModalRegression
+from beam_ident.modal.regression import ModalRegression
 from beam_ident.modal.structure import ModalStructure
 from beam_ident.modal_estimation.input_disturbance import DisturbanceFilter
 from beam_ident.noise.input_noise import Smoothing

@@ -149,12 +149,27 @@ class FrequencyRecord:
 
     def __post_init__(self) -> None:
         omegas = self._numbers("omegas", np.float64)
+        response = self._numbers("response", np.complex128)
+        self._check(omegas, response)
+        shape = response.shape + (1,) * (3 - response.ndim)
+        object.__setattr__(self, "omegas", _fixed(omegas, np.float64))
+        object.__setattr__(self, "response", _fixed(response.reshape(shape), np.complex128))
+        self._complete_covariance(shape)
+        for what in ("variance", "coherence"):
+            if getattr(self, what) is not None:
+                self._complete_row(what, shape)
+        if self.folding is not None and (shape[2] != 1 or len(self.folding.omegas) != len(omegas)):
+            self._refuse("folding needs one input and one row for every line")
+        object.__setattr__(self, "warnings", tuple(self.warnings))
+        self._complete_names(shape)
+
+    def _check(self, omegas: AnyArray, response: AnyArray) -> None:
+        """Refuse lines, a response and numbers that are none."""
+        shape = response.shape
         if omegas.ndim != 1 or not len(omegas) or not np.all(np.isfinite(omegas)):
             self._refuse(f"omegas have shape {omegas.shape}; expected a row of finite frequencies")
         if not (omegas[0] > 0.0 and np.all(np.diff(omegas) > 0.0)):
             self._refuse("omegas must be positive and strictly increasing; sort the lines, leave out 0")
-        response = self._numbers("response", np.complex128)
-        shape = response.shape
         if not 1 <= response.ndim <= 3 or shape[0] != len(omegas) or 0 in shape:
             self._refuse(
                 f"the response has shape {shape} for {len(omegas)} lines; expected (n_lines, n_outputs, n_inputs)"
@@ -171,40 +186,30 @@ class FrequencyRecord:
             self._refuse(
                 f"decay_rate is {self.decay_rate}; expected a finite number of at least 0 [1/s], and 0 with folding"
             )
-        shape = shape + (1,) * (3 - response.ndim)
-        object.__setattr__(self, "omegas", _fixed(omegas, np.float64))
-        object.__setattr__(self, "response", _fixed(response.reshape(shape), np.complex128))
-        n_pairs = shape[1] * shape[2]
-        if self.covariance is not None:
-            covariance = np.asarray(self.covariance, dtype=np.complex128)
-            if covariance.shape != (len(omegas), n_pairs, n_pairs):
-                self._refuse(
-                    f"covariance has shape {covariance.shape}; expected {(len(omegas), n_pairs, n_pairs)}"
-                )
-            object.__setattr__(self, "covariance", _fixed(covariance, np.complex128))
-            if self.variance is None:
-                diagonal = np.einsum("lpp->lp", covariance).real
-                object.__setattr__(self, "variance", diagonal.reshape(shape))
-        for what in ("variance", "coherence"):
-            if (values := getattr(self, what)) is not None:
-                values = np.asarray(values, dtype=np.float64)
-                if values.size != response.size:
-                    self._refuse(f"{what} has shape {values.shape}; expected {shape}, as the response")
-                if np.any(values < 0.0):
-                    self._refuse(
-                        f"{what} is negative at {np.count_nonzero(values < 0.0)} lines; expected >= 0"
-                    )
-                if what == "variance" and not np.all(
-                    np.isfinite(values.ravel()[np.isfinite(response.ravel())])
-                ):
-                    self._refuse(
-                        "the variance is not finite where a response is; mark lines without one with NaN"
-                    )
-                object.__setattr__(self, what, _fixed(values.reshape(shape), np.float64))
-        if self.folding is not None and (shape[2] != 1 or len(self.folding.omegas) != len(omegas)):
-            self._refuse("folding needs one input and one row for every line")
-        object.__setattr__(self, "warnings", tuple(self.warnings))
-        self._complete_names(shape)
+
+    def _complete_covariance(self, shape: tuple[int, ...]) -> None:
+        """Take in the covariance, and the variance that it holds where none is given."""
+        if self.covariance is None:
+            return
+        covariance, n_pairs = np.asarray(self.covariance, dtype=np.complex128), shape[1] * shape[2]
+        if covariance.shape != (shape[0], n_pairs, n_pairs):
+            self._refuse(f"covariance has shape {covariance.shape}; expected {(shape[0], n_pairs, n_pairs)}")
+        object.__setattr__(self, "covariance", _fixed(covariance, np.complex128))
+        if self.variance is None:
+            diagonal = np.einsum("lpp->lp", covariance).real
+            object.__setattr__(self, "variance", diagonal.reshape(shape))
+
+    def _complete_row(self, what: str, shape: tuple[int, ...]) -> None:
+        """Take in variance or coherence: one number for each of the response."""
+        values = np.asarray(getattr(self, what), dtype=np.float64)
+        if values.size != self.response.size:
+            self._refuse(f"{what} has shape {values.shape}; expected {shape}, as the response")
+        if np.any(values < 0.0):
+            self._refuse(f"{what} is negative at {np.count_nonzero(values < 0.0)} lines; expected >= 0")
+        measured = np.isfinite(self.response.ravel())
+        if what == "variance" and not np.all(np.isfinite(values.ravel()[measured])):
+            self._refuse("the variance is not finite where a response is; mark lines without one with NaN")
+        object.__setattr__(self, what, _fixed(values.reshape(shape), np.float64))
 
     def _numbers(self, what: str, kind: type[np.generic]) -> AnyArray:
         try:

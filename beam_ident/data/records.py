@@ -10,14 +10,14 @@ signal where it was really measured.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, TypeVar
 
 import numpy as np
 
-from beam_ident.arrays import FloatArray
+from beam_ident.arrays import AnyArray, FloatArray
 from beam_ident.data.gaps import InputGap, bridged, on_every_stamp
 from beam_ident.errors import RecordError
 from beam_ident.numerics.piecewise import HOLDS, Hold, Instants, PiecewisePolynomial, regular_period
@@ -411,6 +411,110 @@ class TimeRecord:
                         "they do not overlap. Check that both use the same clock"
                     )
 
+    @staticmethod
+    def from_arrays(
+        t: TimesLike,
+        *,
+        u: Any,
+        y: Any,
+        units: Mapping[str, str] | None = None,
+        hold: Hold = "zoh",
+        start_ns: int = 0,
+        name: str = "record",
+    ) -> TimeRecord:
+        """Return a record of arrays that share their times.
+
+        Parameters
+        ----------
+        t : ndarray, shape (n,), or tuple (start, period) -- stamps [s]
+        u, y : ndarray, shape (n,) or (n, k), or mapping of names to ndarrays of shape (n,)
+            Inputs and outputs.  Without names they are ``u`` and ``y``, or ``u1``, ``u2`` .. of several columns.
+        units : mapping of str to str, optional
+            By the signals' names.  A signal without one is taken for a displacement where a structure is chosen by
+            units.
+        hold : {"zoh", "linear", "cubic", "band_limited"} -- what the inputs do between samples
+        start_ns : int -- host time of the instant 0 s [ns]
+        name : str
+
+        Raises
+        ------
+        RecordError
+            Arrays of other lengths than ``t``, units of a name that there is not, and what ``InputSignal`` and
+            ``OutputSignal`` refuse.
+        """
+        inputs, outputs = _named_columns("u", u), _named_columns("y", y)
+        units = dict(units or {})
+        strangers = sorted(set(units) - set(inputs) - set(outputs))
+        if strangers:
+            raise RecordError(
+                f"record {name!r}: units name {strangers[0]!r}, not a signal; expected names among "
+                f"{', '.join((*inputs, *outputs))}"
+            )
+        lengths = {key: np.shape(values)[:1] for key, values in (*inputs.items(), *outputs.items())}
+        if len(set(lengths.values())) > 1:
+            raise RecordError(
+                f"record {name!r}: the signals have different lengths "
+                f"({', '.join(f'{key} {n[0] if n else 1}' for key, n in lengths.items())}); expected one time "
+                "for all. Make a TimeRecord of InputSignals and OutputSignals, which each have their own"
+            )
+        return TimeRecord(
+            tuple(InputSignal(key, units.get(key, ""), t, values, hold) for key, values in inputs.items()),
+            tuple(OutputSignal(key, units.get(key, ""), t, values) for key, values in outputs.items()),
+            start_ns,
+            name,
+        )
+
+    @staticmethod
+    def from_dataframe(
+        frame: Any,
+        *,
+        u: str | Sequence[str],
+        y: str | Sequence[str],
+        time: str | None = None,
+        units: Mapping[str, str] | None = None,
+        hold: Hold = "zoh",
+        name: str = "record",
+    ) -> TimeRecord:
+        """Return a record of columns of a table: of pandas, polars, pyarrow, or anything else with named columns.
+
+        Parameters
+        ----------
+        frame : table -- ``frame[name]`` is a column
+        u, y : str or sequence of str -- columns that are inputs, and outputs
+        time : str, optional
+            Column of the stamps: seconds, or dates.  None: the table's index, as pandas has it.
+        units, hold, name : as of ``from_arrays``
+
+        Notes
+        -----
+        Dates become seconds after the first of them, which ``start_ns`` keeps as UNIX time.
+
+        Raises
+        ------
+        RecordError
+            A column that is not there, stamps that are no times, and what ``from_arrays`` refuses.
+        """
+        if time is None and not hasattr(frame, "index"):
+            raise RecordError(
+                f"record {name!r}: a {type(frame).__name__} has no index; expected the column of the stamps: "
+                'time="t"'
+            )
+        stamps = np.asarray(frame.index) if time is None else _column(frame, time, name)
+        start_ns = 0
+        if stamps.dtype.kind == "M":
+            dates = stamps.astype("datetime64[ns]").astype(np.int64)
+            start_ns = int(dates[0]) if len(dates) else 0
+            stamps = (dates - start_ns) * 1e-9
+        elif stamps.dtype.kind == "m":
+            stamps = stamps / np.timedelta64(1, "s")
+        inputs, outputs = (
+            {key: _column(frame, key, name) for key in ([given] if isinstance(given, str) else given)}
+            for given in (u, y)
+        )
+        return TimeRecord.from_arrays(
+            stamps, u=inputs, y=outputs, units=units, hold=hold, start_ns=start_ns, name=name
+        )
+
     @property
     def output_names(self) -> tuple[str, ...]:
         """Names of the outputs, in order."""
@@ -461,6 +565,38 @@ def busiest_stretch(record: TimeRecord, most_samples: int = 100_000) -> TimeReco
     _, begin, inputs = max(pieces, key=lambda piece: piece[0])
     outputs = tuple(output.between(begin, begin + length) for output in record.outputs)
     return TimeRecord(inputs, outputs, record.start_ns, record.name)
+
+
+def _named_columns(letter: str, given: Any) -> dict[str, Any]:
+    """Return arrays by their names: of a mapping its own, else by a letter."""
+    if isinstance(given, Mapping):
+        return {str(key): values for key, values in given.items()}
+    values = _numbers(letter, "values", given)
+    if values.ndim == 1:
+        return {letter: values}
+    if values.ndim != 2:
+        raise RecordError(
+            f"{letter} has the shape {values.shape}; expected (n,) of one signal, or (n, k) of k signals"
+        )
+    return {f"{letter}{k}": column for k, column in enumerate(values.T, 1)}
+
+
+def _column(frame: Any, column: str, record: str) -> AnyArray:
+    """Return a column of a table as an array."""
+    names = next(
+        (
+            found
+            for word in ("column_names", "columns", "keys")
+            if (found := getattr(frame, word, None)) is not None
+        ),
+        (),
+    )
+    names = list(names() if callable(names) else names)
+    if column not in names:
+        raise RecordError(
+            f"record {record!r}: the table has no column {column!r}; expected one of {', '.join(map(str, names))}"
+        )
+    return np.asarray(frame[column])
 
 
 def _as_tuple(signals: Any) -> tuple[Any, ...]:

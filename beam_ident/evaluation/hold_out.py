@@ -50,7 +50,8 @@ class OutputValidation:
     scores : Scores -- on the output
     deflection_scores : Scores
         On the output less its direct part, offset and ramp: the sterner test where an
-        output is mostly its input.
+        output is mostly its input. The direct part of a transfer function between signals of one unit is what the
+        input explains at once.
     simulation_scores : Scores
         On the output, of the plain simulation: from rest, with no motion fitted to the record.
     noise_ratio : float
@@ -260,6 +261,12 @@ def _predict_rational(model: TransferFunctionModel | MultiInputModel, record: Ti
     seen = np.isfinite(prediction.measured)
     times, values = prediction.times_s[seen], prediction.measured[seen]
     first = model.input_names[0] if isinstance(model, MultiInputModel) else model.input_name
+    drive = record.input(first).signal()(times)
+    deflection = values - prediction.offset
+    if record.input(first).unit == output.unit:
+        # As of a modal model: what a moved base carries along is no achievement of the dynamics.
+        about = drive - np.mean(drive)
+        deflection = deflection - about * float(about @ deflection) / max(float(about @ about), 1e-300)
     return _Prediction(
         output.name,
         output.unit,
@@ -267,9 +274,9 @@ def _predict_rational(model: TransferFunctionModel | MultiInputModel, record: Ti
         values,
         values - prediction.predicted[seen],
         values - prediction.simulated[seen],
-        values - prediction.offset,
+        deflection,
         model.noise_sd,
-        record.input(first).signal()(times),
+        drive,
     )
 
 

@@ -25,7 +25,9 @@ from beam_ident.excitation.sampled import AxisLimits as AxisLimits
 from beam_ident.excitation.sampled import HeldInput as HeldInput
 from beam_ident.excitation.sampled import Quantity as Quantity
 from beam_ident.excitation.sampled import SampledExcitation as SampledExcitation
+from beam_ident.excitation.shaped_move import ShapedMove as ShapedMove
 from beam_ident.excitation.sines import Sine as Sine
 from beam_ident.excitation.sines import SteppedSine as SteppedSine
 from beam_ident.excitation.sweeps import LinearChirp as LinearChirp
 from beam_ident.excitation.sweeps import LogChirp as LogChirp
+from beam_ident.excitation.trajectory import Trajectory as Trajectory

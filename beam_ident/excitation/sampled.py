@@ -19,6 +19,9 @@ Quantity = Literal["acceleration", "velocity", "position"]
 
 UNITS: dict[str, str] = {"acceleration": "m/s^2", "velocity": "m/s", "position": "m"}
 
+_SAMPLES = {"travel": "positions", "speed": "velocities", "acceleration": "accelerations", "jerk": "jerks"}
+_SLIP = 1000.0**0.5  # farther above a limit, it is nearer to a slip of a thousand in the unit than to none
+
 _TOLERANCE = 1e-6  # a peak may touch its limit, with the rounding of the second differences
 
 
@@ -132,9 +135,14 @@ class SampledExcitation:
         }
 
     def check(self, limits: AxisLimits) -> None:
-        """Raise ExcitationLimitError when the axis cannot follow."""
+        """Raise ExcitationLimitError when the axis cannot follow; it names the time from which on."""
         for what, (peak, unit) in self.peaks().items():
-            refuse_above(type(self.recipe).__name__, what, peak, getattr(limits, what), unit)
+            limit = getattr(limits, what)
+            if peak > limit:
+                beyond = np.abs(getattr(self, _SAMPLES[what])) > limit * (1.0 + _TOLERANCE)
+                # Between two ticks, where the hub turns round, no sample is beyond.
+                first_s = float(np.argmax(beyond)) * self.period_s if np.any(beyond) else None
+                refuse_above(type(self.recipe).__name__, what, peak, limit, unit, first_s)
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,10 +197,14 @@ class HeldInput:
             refuse_above(type(self.recipe).__name__, what, seen, limits[what], unit)
 
 
-def refuse_above(recipe: str, what: str, peak: float, limit: float, unit: str) -> None:
-    """Raise ExcitationLimitError with the remedy where a peak is above its limit."""
+def refuse_above(
+    recipe: str, what: str, peak: float, limit: float, unit: str, first_s: float | None = None
+) -> None:
+    """Raise ExcitationLimitError with the remedy where a peak is above its limit, from an instant on [s]."""
     if peak > limit * (1.0 + _TOLERANCE):
+        since = "" if first_s is None else f", first at {first_s:.6g} s"
+        slip = "; is it in units a thousand times smaller, as mm for m?" if peak > _SLIP * limit else ""
         raise ExcitationLimitError(
-            f"{recipe}: peak {what} {peak:.4g} {unit} is above the limit of {limit:.4g} {unit}; lower the "
-            f"amplitude by a factor of {limit / peak:.3f} or change the band"
+            f"{recipe}: peak {what} {peak:.4g} {unit} is above the limit of {limit:.4g} {unit}{since}; lower the "
+            f"amplitude by a factor of {limit / peak:.3g} or change the band{slip}"
         )

@@ -51,7 +51,7 @@ def readable(values: FloatArray, unit: str) -> tuple[float, str]:
     if unit != "m":
         return 1.0, unit
     size = float(np.nanmax(np.abs(values), initial=0.0))
-    return (1e3, "mm") if size >= 1e-4 else (1e6, "um")
+    return (1e3, "mm") if size >= 1e-4 else (1e6, "µm")
 
 
 def drawn(times_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -111,7 +111,7 @@ def fit_figure(outputs: Fitted, deflection: bool = True) -> Figure:
         is_deflection = deflection and isinstance(output, OutputFit)
         axis.set_ylabel(f"{'w ' if is_deflection else ''}{output.name} [{unit}]")
         scores = output.deflection_scores if deflection else output.scores
-        axis.set_title(f"FIT {scores.fit_percent:.2f} %, R² {scores.r_squared:.6f}", fontsize=9, loc="left")
+        axis.set_title(f"FIT {scores.fit_percent:.2f} %", fontsize=9, loc="left")
     axes[0].legend(loc="upper right", fontsize=8, frameon=False, ncols=2)
     axes[-1].set_xlabel("time [s]")
     return figure

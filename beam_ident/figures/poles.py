@@ -19,13 +19,20 @@ if TYPE_CHECKING:
 _REACH = 1.5  # times the farthest pole: zeros beyond it stand for what the model leaves out
 
 
-def pole_zero_figure(model: ModalModel | TransferFunctionModel) -> Figure:
+def pole_zero_figure(model: ModalModel | TransferFunctionModel, common: float = 0.0) -> Figure:
     """Draw the poles of the upper half plane with 95 % ellipses, and the zeros, of a transfer function with theirs.
 
     The left panel shows where they are; the right panels look at the first six complex poles
     as closely as their ellipses need, relative to the estimate [rad/s].
+
+    Parameters
+    ----------
+    model : ModalModel or TransferFunctionModel
+    common : float -- relative standard uncertainty of all frequencies together, which the fit cannot know
     """
     poles, spreads = _poles(model)
+    away = np.stack([poles.real, poles.imag], axis=1)
+    spreads = spreads + common**2 * away[:, :, None] * away[:, None, :]
     upper = [(p, c) for p, c in zip(poles, spreads, strict=True) if p.imag >= 0.0]
     upper.sort(key=lambda item: abs(item[0]))
     close = [(p, c) for p, c in upper if p.imag > 0.0 and np.all(np.isfinite(c)) and np.trace(c) > 0.0][:6]

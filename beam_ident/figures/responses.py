@@ -69,8 +69,8 @@ def response_over_model_figure(
     figure, axes = stacked_axes(2, 5.2)
     lines = np.unique(np.concatenate([e.omegas[e.omegas > 0.0] for e in estimates]))
     poles = model.poles[model.poles.imag > 0.0]
-    near = [abs(p) + np.linspace(-8.0, 8.0, 121) * max(-p.real, 1e-4 * abs(p)) for p in poles]
-    omegas = np.unique(np.concatenate([np.geomspace(lines[0], lines[-1], 1500), *near]))
+    near = [abs(p) + np.linspace(-8.0, 8.0, 61) * max(-p.real, 1e-4 * abs(p)) for p in poles]
+    omegas = np.unique(np.concatenate([np.geomspace(lines[0], lines[-1], 400), *near]))
     omegas = omegas[(omegas >= lines[0]) & (omegas <= lines[-1])]
     hertz = omegas / (2.0 * np.pi)
     for estimate, colour in zip(estimates, _colours(estimates), strict=True):

@@ -17,7 +17,8 @@ from typing import Protocol
 import numpy as np
 
 from beam_ident.arrays import FloatArray
-from beam_ident.modal.regression import ClockState, ColumnBlock, ModeSlopes
+from beam_ident.modal.block_rows import ColumnBlock, ModeSlopes
+from beam_ident.modal.regression import ClockState
 from beam_ident.numerics.linear_least_squares import StackedTriangle
 
 

@@ -25,6 +25,7 @@ from beam_ident.data.argument_checks import chosen_inputs
 from beam_ident.data.gaps import InputGap
 from beam_ident.data.records import InputSignal, LowPass, OutputSignal, TimeRecord
 from beam_ident.errors import EstimationError
+from beam_ident.modal.block_rows import BlockPart, BlockRows, ColumnBlock
 from beam_ident.modal.restarts import RestartColumns, Restarts, restart_columns
 from beam_ident.modal.structure import ModalStructure
 from beam_ident.noise.input_noise import Smoothing
@@ -53,75 +54,6 @@ class ClockState:
 
     latency: float = 0.0
     rate: float = 0.0
-
-
-@dataclass(frozen=True, eq=False)
-class ModeSlopes:
-    """Derivatives of the columns of one mode, each (n_rows, n_columns)."""
-
-    by_log_omega: FloatArray
-    by_zeta: FloatArray
-
-
-@dataclass(frozen=True, eq=False)
-class ColumnBlock:
-    """The linear problem of all outputs that share stamps.
-
-    Attributes
-    ----------
-    matrix : ndarray, shape (n_rows, n_columns)
-    mode_columns : ndarray, shape (n_modes, n_columns of a mode)
-        Which columns belong to each mode.
-    modes : tuple of ModeSlopes
-        Derivatives by the poles; empty when none were asked for.
-    by_time : ndarray or None, shape (n_rows, n_columns)
-        Derivative by the instant of measurement.
-    latency_factor, rate_factor : ndarray, shape (n_rows,)
-        Derivative of the instant by latency and clock rate.
-    by_rate : ndarray or None, shape (n_rows, n_columns)
-        Derivative by the clock rate, where rows are not instants.
-    turn : callable or None
-        The linear map that the rows of ``matrix`` have passed, and those of the derivatives have not: of these, few
-        sums are asked for.
-    """
-
-    matrix: FloatArray
-    mode_columns: IndexArray
-    modes: tuple[ModeSlopes, ...]
-    by_time: FloatArray | None
-    latency_factor: FloatArray
-    rate_factor: FloatArray
-    by_rate: FloatArray | None = None
-    turn: Callable[[FloatArray], FloatArray] | None = None
-
-    def slopes(self, found: FloatArray, latency_is_free: bool, rate_is_free: bool) -> FloatArray:
-        """Return the derivative of one output's model by the nonlinear parameters, shape (n_rows, n_theta).
-
-        Parameters
-        ----------
-        found : ndarray, shape (n_columns,) -- the output's linear parameters
-        latency_is_free, rate_is_free : bool
-            The order is log omega of all modes, zeta of all modes, then latency and clock rate where free.
-        """
-        n = len(self.modes)
-        result = np.empty((len(self.matrix), 2 * n + latency_is_free + rate_is_free), order="F")
-        for mode, (own, columns) in enumerate(zip(self.modes, self.mode_columns, strict=True)):
-            share = found[columns]
-            result[:, mode] = own.by_log_omega @ share
-            result[:, n + mode] = own.by_zeta @ share
-        if latency_is_free or rate_is_free:
-            assert self.by_time is not None
-            # The clock moves the instants (I.6), and the instants move the model.
-            speed = self.by_time @ found
-            if latency_is_free:
-                result[:, 2 * n] = speed * self.latency_factor
-            if rate_is_free:
-                result[:, -1] = speed * self.rate_factor if self.by_rate is None else self.by_rate @ found
-        return result if self.turn is None else self.turn(result)
-
-    def turned(self, turn: Callable[[FloatArray], FloatArray]) -> ColumnBlock:
-        """Return the block with all rows passed through a linear map."""
-        return replace(self, matrix=np.asfortranarray(turn(self.matrix)), turn=turn)
 
 
 @dataclass(frozen=True, eq=False)
@@ -897,98 +829,75 @@ class ModalRegression:
         gradients: bool,
         with_restarts: bool,
     ) -> ColumnBlock:
-        structure = self.structure
-        n_fixed, n_own, n_forced = self.n_shared_fixed, self.n_nuisance(n_modes), self.n_forced
-        n_shared = self.n_shared(n_modes)
+        structure, n_forced = self.structure, self.n_forced
+        n_shared, n_own = self.n_shared(n_modes), self.n_nuisance(n_modes)
         lengths = [len(self._rows[part[:3]]) for part in parts]
         # Of every part, how its columns begin anew: with the modes, or with constants of integration alone.
         anew = [self.restarts.of_record(part[0]) if with_restarts else () for part in parts]
-        n_restarts = sum(is_modal for own in anew for _, is_modal in own)
-        begin = n_shared + n_own * len(parts)
-        n_rows, n_columns = sum(lengths), begin
+        n_columns = n_shared + n_own * len(parts)
+        begin, n_free = n_columns, 2 * len(parts) if structure.has_free_response else 0
         if with_restarts:
             n_columns += sum(self.restarts.n_columns(n_modes, part[0]) for part in parts)
-        matrix = np.zeros((n_rows, n_columns), order="F")
-        by_time = np.zeros_like(matrix) if gradients else None
-        n_free = 2 * len(parts) if structure.has_free_response else 0
-        n_touched = n_forced + n_free + 2 * n_restarts
-        # A mode touches its residues' columns and, in every record and after every restart, the two of its free
-        # motion: the rest of the derivative is zero and is not stored.
-        touched = [np.zeros((2, n_touched, n_rows)) for _ in range(n_modes)] if gradients else []
-        mode_columns = np.zeros((n_modes, n_touched), dtype=np.intp)
-        mode_columns[:, :n_forced] = n_fixed + np.arange(n_forced * n_modes).reshape(n_forced, n_modes).T
-        latency_factor, rate_factor = np.empty(n_rows), np.empty(n_rows)
+        n_touched = n_forced + n_free + 2 * sum(is_modal for own in anew for _, is_modal in own)
+        block = BlockRows(sum(lengths), n_columns, n_modes, n_touched, gradients)
+        block.begin_residues(self.n_shared_fixed, n_forced)
         first, touches = 0, n_forced + n_free
         for number, (part, length) in enumerate(zip(parts, lengths, strict=True)):
-            rows: IndexArray | slice = self._rows[part[:3]]
-            level = part[3]
-            here = slice(first, first + length)
+            here, rows = slice(first, first + length), self._rows[part[:3]]
             first += length
             own = n_shared + n_own * number
-            n_drifts = int(structure.has_offset) + int(structure.has_ramp)
-            if n_free:
-                pairs = own + n_drifts + np.arange(2 * n_modes).reshape(n_modes, 2)
-                place = n_forced + 2 * number
-                mode_columns[:, place : place + 2] = pairs
+            pair = own + int(structure.has_offset) + int(structure.has_ramp)
+            free_at = [(pair, n_forced + 2 * number)] if n_free else []
             restarts = []  # where free motions begin, among the columns and among those that a mode touches
             for _, is_modal in anew[number]:
                 begin += self.restarts.n_drifts
                 restarts.append((begin, touches))
                 if is_modal:
-                    pairs = begin + np.arange(2 * n_modes).reshape(n_modes, 2)
-                    mode_columns[:, touches : touches + 2] = pairs
+                    free_at.append((begin, touches))
                     begin, touches = begin + 2 * n_modes, touches + 2
-            if not length:
-                continue
-            source = cache[part[0], part[1]]
-            if length == len(source.ramp):
-                rows = slice(None)  # all stamps of the grid
-            latency_factor[here] = source.sampling.latency_factor[rows]
-            rate_factor[here] = source.sampling.rate_factor[rows]
-            for column, (value, rate) in enumerate(source.sampling.fixed):
-                matrix[here, column] = value[rows]
-                if by_time is not None:
-                    by_time[here, column] = rate[rows]
-            if structure.has_offset:
-                matrix[here, own] = 1.0
-                own += 1
-            if structure.has_ramp:
-                matrix[here, own] = source.ramp[rows]
-                own += 1
-            for place in range(n_forced * n_modes):
-                column, (drive, mode) = n_fixed + place, divmod(place, n_modes)
-                matrix[here, column] = source.forced[0][place][rows]
-                if by_time is not None:
-                    touched[mode][0, drive, here] = source.forced[1][place][rows]
-                    touched[mode][1, drive, here] = source.forced[2][place][rows]
-                    by_time[here, column] = source.forced[3][place][rows]
-            for mode in range(n_modes if structure.has_free_response else 0):
-                pair, place = own + 2 * mode, n_forced + 2 * number
-                targets = [matrix.T[pair:, here]]
-                if by_time is not None:
-                    slopes = touched[mode]
-                    targets += [slopes[0, place:, here], slopes[1, place:, here], by_time.T[pair:, here]]
-                _fill_pairs(targets, source.free, mode, rows)
-            for restart, (free, place) in zip(source.restarts, restarts, strict=True):
-                for column, (value, rate) in enumerate(restart.drifts, free - len(restart.drifts)):
-                    matrix[here, column] = value[rows]
-                    if by_time is not None:
-                        by_time[here, column] = rate[rows]
-                for mode in range(len(restart.free[0])):
-                    pair = free + 2 * mode
-                    targets = [matrix.T[pair:, here]]
-                    if by_time is not None:
-                        slopes = touched[mode]
-                        targets += [slopes[0, place:, here], slopes[1, place:, here], by_time.T[pair:, here]]
-                    _fill_pairs(targets, restart.free, mode, rows)
-            if level != 1.0:
-                for columns in (matrix, by_time):
-                    if columns is not None:
-                        columns[here] /= level
-                for slopes in touched:
-                    slopes[:, :, here] /= level
-        modes = tuple(ModeSlopes(by_log_omega.T, by_zeta.T) for by_log_omega, by_zeta in touched)
-        return ColumnBlock(matrix, mode_columns, modes, by_time, latency_factor, rate_factor)
+            block.begin_free_motions(free_at)
+            if length:
+                source = cache[part[0], part[1]]
+                self._fill(block.part(here, rows, source.ramp), source, own, number, restarts)
+                block.divide(here, part[3])
+        return block.done()
+
+    def _fill(
+        self,
+        part: BlockPart,
+        source: _GridColumns,
+        own: int,
+        number: int,
+        restarts: Sequence[tuple[int, int]],
+    ) -> None:
+        """Fill the rows of one part of a block.
+
+        Parameters
+        ----------
+        part : BlockPart
+        source : _GridColumns -- of its stamps
+        own : int -- the first of its own columns
+        number : int -- of the part
+        restarts : sequence of tuple of int -- where free motions begin anew, among the columns and among those that a
+            mode touches
+        """
+        structure = self.structure
+        part.set_clock(source.sampling.latency_factor, source.sampling.rate_factor)
+        for column, (value, rate) in enumerate(source.sampling.fixed):
+            part.set(column, value, rate)
+        if structure.has_offset:
+            part.set(own)
+            own += 1
+        if structure.has_ramp:
+            part.set(own, source.ramp)
+            own += 1
+        part.set_residues(self.n_shared_fixed, source.forced)
+        if structure.has_free_response:
+            part.set_free_motions(own, self.n_forced + 2 * number, source.free)
+        for restart, (free, place) in zip(source.restarts, restarts, strict=True):
+            for column, (value, rate) in enumerate(restart.drifts, free - len(restart.drifts)):
+                part.set(column, value, rate)
+            part.set_free_motions(free, place, restart.free)
 
 
 def turned_candidates(columns: FloatArray, turn: Callable[[FloatArray], FloatArray]) -> FloatArray:
@@ -1010,15 +919,6 @@ def _take_out(columns: FloatArray, free: ComplexArray) -> None:
     gram += (1e-12 * np.trace(gram, axis1=1, axis2=2)[:, None, None] + 1e-300) * np.eye(2)
     shares = np.linalg.solve(gram, pairs @ columns.transpose(0, 2, 1))
     columns -= shares.transpose(0, 2, 1) @ pairs
-
-
-def _fill_pairs(
-    targets: Sequence[FloatArray], free: Sequence[ComplexArray], mode: int, rows: IndexArray | slice
-) -> None:
-    """Put real and imaginary parts of a mode's free motion, and of its derivatives, into two rows of each target."""
-    for target, own in zip(targets, free, strict=True):
-        values = own[mode][rows]
-        target[0], target[1] = values.real, values.imag
 
 
 def forced_columns(

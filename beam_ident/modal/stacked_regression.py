@@ -15,8 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from beam_ident.arrays import AnyArray, FloatArray
+from beam_ident.modal.block_rows import ColumnBlock, ModeSlopes
 from beam_ident.modal.fit import ModalFit
-from beam_ident.modal.regression import ClockState, ColumnBlock, ModeSlopes, turned_candidates
+from beam_ident.modal.regression import ClockState, turned_candidates
 
 
 @dataclass(frozen=True, eq=False)

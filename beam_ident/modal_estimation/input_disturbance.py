@@ -29,8 +29,10 @@ from beam_ident.arrays import BoolArray, FloatArray, IndexArray
 from beam_ident.data.records import InputSignal, TimeRecord
 from beam_ident.modal.model import ModalModel
 from beam_ident.modal.regression import ModalRegression
+from beam_ident.modal.stacked_regression import StackedRegression
 from beam_ident.modal.structure import ModalStructure
 from beam_ident.noise.input_noise import Smoothing, input_noise_share, noise_grid
+from beam_ident.noise.shared_noise import together
 from beam_ident.numerics.state_recursion import StateRecursion
 from beam_ident.numerics.trapezoid_rule import trapezoid_rule
 
@@ -64,16 +66,12 @@ class Observations:
     @staticmethod
     def of(times: Sequence[FloatArray], rows: Sequence[IndexArray]) -> Observations:
         """Merge the instants of all outputs; each has its times and the rows that they stand in."""
-        distinct = times[0]
-        if not all(np.array_equal(distinct, own) for own in times[1:]):
-            distinct = np.unique(np.concatenate(times))
-        table = np.full((len(distinct), len(times)), -1, dtype=np.intp)
-        for output, (instants, places) in enumerate(zip(times, rows, strict=True)):
-            table[np.searchsorted(distinct, instants), output] = places
-        return Observations(distinct, table)
+        return Observations(*together(times, rows))
 
     @staticmethod
-    def of_record(regression: ModalRegression, record: int, latency: float) -> Observations:
+    def of_record(
+        regression: ModalRegression | StackedRegression, record: int, latency: float
+    ) -> Observations:
         """Return where the outputs of one record are seen, on its input's clock but for the rate."""
         times: list[FloatArray] = []
         rows: list[IndexArray] = []

@@ -254,11 +254,8 @@ class _Complement:
 
     def __init__(self, problem: ModalProblem, fit: ModalFit) -> None:
         self.problem = problem
-        self.bases = []
-        for block in problem.blocks(fit.omegas, fit.zetas, fit.clock, gradients=False):
-            scale = np.linalg.norm(block.matrix, axis=0)
-            basis, triangle = np.linalg.qr(block.matrix / np.where(scale > 0.0, scale, 1.0))
-            self.bases.append(basis[:, np.abs(np.diag(triangle)) > 1e-9])
+        blocks = problem.blocks(fit.omegas, fit.zetas, fit.clock, gradients=False)
+        self.bases = [LinearSolution.of(block.matrix).basis for block in blocks]
         owners = zip(problem.values, problem.block_of, strict=True)
         self.residuals = [values - self.bases[own] @ (self.bases[own].T @ values) for values, own in owners]
 

@@ -89,11 +89,42 @@ def checked_limit(n_modes: int | None, max_modes: int) -> int:
 
 @dataclass(frozen=True, eq=False)
 class Weighed(Generic[ProblemT]):
-    """A fit weighed by the noise as it is, the problem that it belongs to, and that with weights for records."""
+    """A fit weighed by the noise as it is, the problem that it belongs to, and that with weights for records.
+
+    ``stopped_by`` is what ended the estimation before its time, if anything did.
+    """
 
     fit: ModalFit
     problem: ProblemT
     by_record: ProblemT
+    stopped_by: BaseException | None = None
+
+    def unfinished(self, stop: BaseException, missing: str) -> Weighed[ProblemT]:
+        """Return a fit that says what ended the estimation before its time, and what is missing therefore."""
+        fit = dataclasses.replace(self.fit, converged=False, reason=why_stopped(stop, missing))
+        return dataclasses.replace(self, fit=fit, stopped_by=stop)
+
+
+@dataclass(frozen=True, eq=False)
+class Tried:
+    """A fit that was tried, and its place in the table of orders."""
+
+    fit: ModalFit
+    entry: int
+
+
+@dataclass
+class Looks:
+    """What a search looks for beyond the next mode; of a search that is done, what has led to a better end.
+
+    Attributes
+    ----------
+    past_doubt : bool -- orders past one that is not believed
+    inside : bool -- where simpler structures end
+    """
+
+    past_doubt: bool
+    inside: bool
 
 
 class ModeSearch(ABC, Generic[ProblemT]):
@@ -125,25 +156,35 @@ class ModeSearch(ABC, Generic[ProblemT]):
     ) -> None:
         self.plain = self.problem = problem
         self.band = band
-        self.latency, self.clock_rate, self.shows_clock = latency, clock_rate, shows_clock
+        self.priors, self.shows_clock = (latency, clock_rate), shows_clock
         self.progress = progress
         self.max_iterations = _ITERATIONS
-        self.stopped_by: BaseException | None = None  # before its time
         if start is None:
             base = self.fit(np.empty(0), np.empty(0), self._clock_meant)
         else:
             base = self.fit(start.omegas, start.zetas, start.clock)
-        self.chosen = self.without_modes = base
+        self.without_modes = base
         self.entries: list[OrderEntry] = [self._entry(base, "")]
-        self.chosen_entry = 0
-        self._believed = (base, 0)  # the last fit that passed every gate, and its entry
+        self._present = self._believed = Tried(base, 0)  # the last that passed every gate is believed
         self._is_unsettled = False  # whether a fit that did not converge promised more since
-        self.looks_inside = True  # whether a given order is compared with what simpler structures find
-        self.is_better_inside = False  # whether one of them led to a better end
-        self.is_persistent = True  # whether the search goes on past orders that are not believed
-        self.is_worth_persisting = False  # whether that has led to one that is
+        self.looks, self.paid = Looks(True, True), Looks(False, False)
         self.is_behind_noise = False  # whether rows are whitened by the outputs' slow noise
         self.is_curved = False  # whether poles crowd where one that goes with the amplitude may stand
+
+    @property
+    def latency(self) -> Prior:
+        """What is known of the outputs' latency."""
+        return self.priors[0]
+
+    @property
+    def clock_rate(self) -> Prior:
+        """What is known of the rate of the outputs' clock."""
+        return self.priors[1]
+
+    @property
+    def chosen(self) -> ModalFit:
+        """The present fit."""
+        return self._present.fit
 
     @abstractmethod
     def propose(self, fit: ModalFit, excluded: Sequence[float]) -> list[Candidate]:
@@ -178,10 +219,11 @@ class ModeSearch(ABC, Generic[ProblemT]):
 
     def _refit(self) -> None:
         """Fit the present model anew to rows that weigh otherwise."""
-        before = self.chosen
-        self.chosen = self.fit(before.omegas, before.zetas, before.clock)
-        if self._believed[0] is before:
-            self._believed = self.chosen, self._believed[1]
+        before = self._present
+        again = self.fit(before.fit.omegas, before.fit.zetas, before.fit.clock)
+        self._present = Tried(again, before.entry)
+        if self._believed is before:
+            self._believed = self._present
 
     def doubt(self) -> None:
         """Look for what may be wrong with the data, once a mode that explains much is not believed."""
@@ -192,23 +234,15 @@ class ModeSearch(ABC, Generic[ProblemT]):
 
     def _stopped(self, stop: BaseException, missing: str) -> Weighed[ProblemT]:
         """Return the best fit so far, or raise what stopped the search where there is none with a mode."""
-        if len(self._believed[0].omegas):
-            self.chosen, self.chosen_entry = self._believed
+        if len(self._believed.fit.omegas):
+            self._present = self._believed
         if not len(self.chosen.omegas):
             raise stop
         return self.ended_early(self.chosen, stop, missing)
 
     def ended_early(self, fit: ModalFit, stop: BaseException, missing: str) -> Weighed[ProblemT]:
         """Return a fit with equal weights as the best there is."""
-        return self.unfinished(Weighed(fit, self.plain, self.plain), stop, missing)
-
-    def unfinished(self, weighed: Weighed[ProblemT], stop: BaseException, missing: str) -> Weighed[ProblemT]:
-        """Return a fit that says what ended the estimation before its time, and what is missing therefore."""
-        self.stopped_by = stop
-        reason = why_stopped(stop, missing)
-        return dataclasses.replace(
-            weighed, fit=dataclasses.replace(weighed.fit, converged=False, reason=reason)
-        )
+        return Weighed(fit, self.plain, self.plain).unfinished(stop, missing)
 
     def fit(
         self,
@@ -219,7 +253,7 @@ class ModeSearch(ABC, Generic[ProblemT]):
         target: float = math.inf,
     ) -> ModalFit:
         """Return the fit from a start, of the problem as it weighs at present."""
-        latency, rate = self.latency, self.clock_rate
+        latency, rate = self.priors
         if not len(omegas) and not self.shows_clock:
             latency, rate = Prior(latency.mean), Prior(rate.mean)
         iterations = self.max_iterations if max_iterations is None else max_iterations
@@ -239,48 +273,31 @@ class ModeSearch(ABC, Generic[ProblemT]):
         EstimationError
             No mode stands out of the noise, before it weighs or behind it.
         """
-        limit = max_modes if n_modes is None else n_modes
+        limit, ended = max_modes if n_modes is None else n_modes, ""
+        wanted = f"up to {limit} modes" if n_modes is None else f"{limit} modes"
+        missing = "the search for more than {n} of " + wanted + ", and the weighing by the noise"
         try:
             ended = self._extend_anew(n_modes, limit, self._extend(n_modes, limit))
-        except Stopped as stop:
-            n, wanted = (
-                len(self.chosen.omegas),
-                f"up to {limit} modes" if n_modes is None else f"{limit} modes",
-            )
-            return self._stopped(
-                stop, f"the search for more than {n} of {wanted}, and the weighing by the noise"
-            )
-        is_believed = self.chosen is self._believed[0] and not self._is_unsettled
-        if n_modes is None and self.is_persistent and not is_believed:
-            try:
-                if not self.is_curved and self._settle(limit):
-                    self.is_worth_persisting = True
-                    ended = self._extend(None, limit)
-                self.chosen, self.chosen_entry = self._believed
-            except Stopped as stop:
-                return self._stopped(
-                    stop, "a second look at orders that were not believed, and the weighing by the noise"
-                )
-        try:
+            missing = "a second look at orders that were not believed, and the weighing by the noise"
+            ended = self._look_past_doubt(limit, ended) if n_modes is None else ended
+            missing = "a look behind the outputs' slow noise, and the weighing by the noise as it is"
             self._extend_behind_noise(n_modes, limit)
-        except Stopped as stop:
-            return self._stopped(
-                stop, "a look behind the outputs' slow noise, and the weighing by the noise as it is"
-            )
-        if n_modes is not None and self.looks_inside:
-            try:
+            missing = "a look at what simpler structures find, and the weighing by the noise"
+            if n_modes is not None and self.looks.inside:
                 end = self.inside(len(self.chosen.omegas))
-                self.is_better_inside = end is not None and self.go_on_from(end)
-            except Stopped as stop:
-                return self._stopped(
-                    stop, "a look at what simpler structures find, and the weighing by the noise"
-                )
-        alone = self.chosen if len(self.chosen.omegas) else self.body_alone()
-        if alone is None:
-            raise self._nothing_found(self.entries[-1].refused_because or ended)
-        self.chosen = alone
+                self.paid.inside = end is not None and self.go_on_from(end)
+        except Stopped as stop:
+            return self._stopped(stop, missing.format(n=len(self.chosen.omegas)))
+        if not len(self.chosen.omegas):
+            if (alone := self.body_alone()) is None:
+                raise self._nothing_found(self.entries[-1].refused_because or ended)
+            self._present = Tried(alone, self._present.entry)
         if not is_weighed:
             return Weighed(self.chosen, self.problem, self.problem)
+        return self._weighed(n_modes)
+
+    def _weighed(self, n_modes: int | None) -> Weighed[ProblemT]:
+        """Return what was found, weighed by the noise; of a free number, without modes that this refutes."""
         try:
             self.progress("weighing by the noise as it is", 0.97)
             weighed = self.weighed(self.chosen)
@@ -291,12 +308,25 @@ class ModeSearch(ABC, Generic[ProblemT]):
         try:
             weighed = self._confirmed(weighed)
         except Stopped as stop:
-            missing = "a second look at modes that only the input's noise may have feigned"
-            return self.unfinished(weighed, stop, missing)
+            return weighed.unfinished(
+                stop, "a second look at modes that only the input's noise may have feigned"
+            )
         doubts = self._doubts_of(weighed)
         if doubts and len(doubts) == len(weighed.fit.omegas):
             raise self._nothing_found(f"weighed by it as it is, {doubts[0]}")
         return weighed
+
+    def _look_past_doubt(self, limit: int, ended: str) -> str:
+        """Go back from orders that were not believed to one that is, and return why no further one was tried."""
+        if self._present is self._believed and not self._is_unsettled:
+            return ended
+        if not self.looks.past_doubt:
+            return ended
+        if not self.is_curved and self._settle(limit):
+            self.paid.past_doubt = True
+            ended = self._extend(None, limit)
+        self._present = self._believed
+        return ended
 
     def _nothing_found(self, reason: str) -> EstimationError:
         return EstimationError(
@@ -310,28 +340,35 @@ class ModeSearch(ABC, Generic[ProblemT]):
         A clock that is cycles away bends poles until they fit it: no mode promises more elsewhere by itself.
         """
         for _ in range(_CLOCKS):
-            ends = [self.chosen] if self.chosen is self._believed[0] else [self.chosen, self._believed[0]]
+            ends = list(dict.fromkeys([self.chosen, self._believed.fit]))
             found = [fit for own in ends for fit in self.retimed(own)]
             if not found:
                 break
             # Of many modes in doubt, those that are left hardly say which clock was the better one: it is tried, too.
             best = min(found, key=self._bic)
             starts = [min(map(self._without_doubtful, found), key=self._bic), self._without_doubtful(best)]
-            is_better = False
-            for start in starts[: 1 if _is_same(*starts) else 2]:
-                if any(_is_same(start, own) for own in ends):
-                    continue  # nothing else would be found from there
-                before = self.chosen, self.chosen_entry, self.entries, self._believed, self._is_unsettled
-                self.entries, self._is_unsettled = [self.entries[0], self._entry(start, "")], False
-                self.chosen, self.chosen_entry = self._believed = start, 1
-                following = self._extend(n_modes, limit)
-                if self._bic(self.chosen) < self._bic(before[0]):
-                    ended, is_better = following, True
-                else:
-                    self.chosen, self.chosen_entry, self.entries, self._believed, self._is_unsettled = before
-            if not is_better:
+            better = [
+                following
+                for start in starts[: 1 if _is_same(*starts) else 2]
+                # Nothing else would be found from where a search has ended.
+                if not any(_is_same(start, own) for own in ends)
+                and (following := self._extend_from(start, n_modes, limit))
+            ]
+            if not better:
                 break
+            ended = better[-1]
         return ended
+
+    def _extend_from(self, start: ModalFit, n_modes: int | None, limit: int) -> str:
+        """Search from other modes, and return why it ended; or nothing, and go back, where that end is no better."""
+        before = self._present, self._believed, self.entries, self._is_unsettled
+        self.entries, self._is_unsettled = [self.entries[0], self._entry(start, "")], False
+        self._present = self._believed = Tried(start, 1)
+        ended = self._extend(n_modes, limit)
+        if self._bic(self.chosen) < self._bic(before[0].fit):
+            return ended
+        self._present, self._believed, self.entries, self._is_unsettled = before
+        return ""
 
     def _extend_behind_noise(self, n_modes: int | None, limit: int) -> None:
         """Search on in rows in which slow noise is white; of a given number, in place of the modes in doubt.
@@ -341,22 +378,22 @@ class ModeSearch(ABC, Generic[ProblemT]):
         n_doubtful = 0 if n_modes is None else len(self._doubtful(self.chosen))
         if n_modes is not None and not n_doubtful:
             return
-        before = self.problem, self.chosen, self.chosen_entry, self._believed
-        is_persistent, self.is_persistent = self.is_persistent, False
+        before, problem, past_doubt = (self._present, self._believed), self.problem, self.looks.past_doubt
+        self.looks.past_doubt = False
         if n_modes is not None:
-            self.chosen = self._without_doubtful(self.chosen)
+            self._present = Tried(self._without_doubtful(self.chosen), self._present.entry)
         self.is_behind_noise = self.looks_behind_noise()
         if self.is_behind_noise:
-            self._believed = self.chosen, self.chosen_entry
+            self._believed = self._present
             self._extend(n_modes, limit)
             self.is_behind_noise = n_modes is None or (
                 self.chosen.converged
                 and len(self._doubtful(self.chosen)) < n_doubtful
-                and self.chosen.cost < before[1].cost
+                and self.chosen.cost < before[0].fit.cost
             )
         if not self.is_behind_noise:
-            self.problem, self.chosen, self.chosen_entry, self._believed = before
-        self.is_persistent = is_persistent
+            self.problem, (self._present, self._believed) = problem, before
+        self.looks.past_doubt = past_doubt
 
     def _without_doubtful(self, fit: ModalFit) -> ModalFit:
         """Return a fit without the modes that do not pass the gates, as long as one is left.
@@ -392,9 +429,13 @@ class ModeSearch(ABC, Generic[ProblemT]):
         fit = self.fit(inside.omegas, inside.zetas, inside.clock, _ITERATIONS)
         if not fit.cost < self.chosen.cost:
             return False
-        self.entries.append(self._entry(fit, self._refusal(fit, fit, is_given=True)))
-        self.chosen, self.chosen_entry = self._believed = fit, len(self.entries) - 1
+        self._present = self._believed = self._listed(fit, self._refusal(fit, fit, is_given=True))
         return True
+
+    def _listed(self, fit: ModalFit, refusal: str) -> Tried:
+        """Put a fit into the table of orders."""
+        self.entries.append(self._entry(fit, refusal))
+        return Tried(fit, len(self.entries) - 1)
 
     def _outside(self, fit: ModalFit) -> list[int]:
         """Return the modes of a fit that have left the band."""
@@ -424,59 +465,69 @@ class ModeSearch(ABC, Generic[ProblemT]):
     def orders(self) -> tuple[OrderEntry, ...]:
         """The table of orders, with the choice marked."""
         return tuple(
-            dataclasses.replace(entry, is_chosen=index == self.chosen_entry)
+            dataclasses.replace(entry, is_chosen=index == self._present.entry)
             for index, entry in enumerate(self.entries)
         )
 
     def _adds_mode(self, n_modes: int | None, limit: int) -> bool:
         """Try to add a mode to the present model, and return whether one was taken."""
-        current, n = self.chosen, len(self.chosen.omegas)
+        current, n = self._present, len(self.chosen.omegas)
         excluded: list[float] = []
-        doubted: list[tuple[ModalFit, int]] = []
+        doubted: list[Tried] = []
         for attempt in range(_TRIES_PER_ORDER if n_modes is None else 1):
             share = min(0.95, (n + 0.5 * attempt) / (limit if n_modes is not None else 5))
             self.progress(f"looking for mode {n + 1}", share)
-            candidates = self.propose(current, excluded)
+            candidates = self.propose(current.fit, excluded)
             if not candidates:
                 break
-            # What the outputs share with the input before there is a mode may say little of the clock.
-            clocks = [current.clock] if n else list(dict.fromkeys([current.clock, self._clock_meant]))
-            starts = [
-                (np.append(current.omegas, c.omega), np.append(current.zetas, c.zeta), clock)
-                for clock in clocks
-                for c in candidates
-            ]
-            place = 0
-            if len(starts) > 1:
-                rivals = [self.fit(*start, _RIVAL_ITERATIONS) for start in starts]
-                place = int(np.argmin([rival.cost for rival in rivals]))
-            trial = self.fit(*starts[place], target=self._target(current, n_modes))
-            if trial.reason != HOPELESS:
-                trial = self.untangled(trial)
-            refusal = self._refusal(trial, current, n_modes is not None)
-            is_open = trial.reason != HOPELESS and not trial.converged
-            is_better = self._bic(trial) < self._bic(current)
-            if refusal and is_open and is_better:
+            candidate, trial = self._fitted_with_one_of(candidates, current.fit, n_modes)
+            excluded.append(candidate.omega)
+            refusal = self._refusal(trial, current.fit, n_modes is not None)
+            is_better = trial.reason != HOPELESS and self._bic(trial) < self._bic(current.fit)
+            if refusal and is_better and not trial.converged:
                 self.doubt()
-            self.entries.append(self._entry(trial, refusal))
+            tried = self._listed(trial, refusal)
             if not refusal or n_modes is not None:
-                self.is_worth_persisting |= current is not self._believed[0]
-                self.chosen, self.chosen_entry = self._believed = trial, len(self.entries) - 1
+                self.paid.past_doubt |= current is not self._believed
+                self._present = self._believed = tried
                 self._is_unsettled = False
                 return True
-            if is_better and current is self._believed[0] and n and crowd(trial, self.problem, self.band):
-                self.is_curved = True
-            if trial.reason != HOPELESS and is_better:
+            if is_better:
+                if current is self._believed and n and crowd(trial, self.problem, self.band):
+                    self.is_curved = True
                 self._is_unsettled |= not trial.converged
                 if trial.information_condition < SINGULAR:
-                    doubted.append((trial, len(self.entries) - 1))
-            excluded.append(candidates[place % len(candidates)].omega)
+                    doubted.append(tried)
         patience = _PATIENCE if self._is_unsettled else _SHORT_PATIENCE
-        goes_on = self.is_persistent and not self.is_curved
-        if not goes_on or not doubted or n + 1 > len(self._believed[0].omegas) + patience:
+        goes_on = self.looks.past_doubt and not self.is_curved
+        if not goes_on or not doubted or n + 1 > len(self._believed.fit.omegas) + patience:
             return False
-        self.chosen, self.chosen_entry = min(doubted, key=lambda own: own[0].cost)
+        self._present = min(doubted, key=lambda own: own.fit.cost)
         return True
+
+    def _fitted_with_one_of(
+        self, candidates: Sequence[Candidate], current: ModalFit, n_modes: int | None
+    ) -> tuple[Candidate, ModalFit]:
+        """Return the candidate that a few iterations prefer, and the fit with it.
+
+        What the outputs share with the input before there is a mode may say little of the clock: then that which is
+        meant is tried as well.
+        """
+        clocks = [current.clock]
+        if not len(current.omegas):
+            clocks = list(dict.fromkeys([current.clock, self._clock_meant]))
+        starts = [
+            (own, (np.append(current.omegas, own.omega), np.append(current.zetas, own.zeta), clock))
+            for clock in clocks
+            for own in candidates
+        ]
+        place = 0
+        if len(starts) > 1:
+            rivals = [self.fit(*start, _RIVAL_ITERATIONS) for _, start in starts]
+            place = int(np.argmin([rival.cost for rival in rivals]))
+        candidate, start = starts[place]
+        trial = self.fit(*start, target=self._target(current, n_modes))
+        return candidate, trial if trial.reason == HOPELESS else self.untangled(trial)
 
     def _settle(self, limit: int) -> bool:
         """Go back from orders that are not believed to one that is; False where that is the last that was believed.
@@ -484,28 +535,29 @@ class ModeSearch(ABC, Generic[ProblemT]):
         Where fits did not converge, modes that were placed with hardly any refinement between them are a second
         start: they cannot run into each other while others are missing.
         """
-        believed, entry = self._believed
+        believed = self._believed
         if self.problem is not self.plain:  # records weigh otherwise by now
-            believed = self.fit(believed.omegas, believed.zetas, believed.clock)
+            again = self.fit(believed.fit.omegas, believed.fit.zetas, believed.fit.clock)
+            believed = Tried(again, believed.entry)
         self.max_iterations = 2 * _ITERATIONS
-        found = [(believed, entry)]
         starts = [self.chosen, self._pursued(limit)] if self._is_unsettled else [self.chosen]
-        if not len(believed.omegas) and self._is_unsettled and not any(map(self.is_promising, starts)):
+        if not len(believed.fit.omegas) and self._is_unsettled and not any(map(self.is_promising, starts)):
             return False
+        found = None
         for start in sorted(starts, key=self._bic):
-            self._sound(start, found)
-            if len(found) > 1:
+            if (found := self._pruned(start, believed.fit)) is not None:
                 break
-        self.chosen, self.chosen_entry = self._believed = min(found, key=lambda own: self._bic(own[0]))
-        return len(found) > 1
+        is_better = found is not None and self._bic(found.fit) < self._bic(believed.fit)
+        self._present = self._believed = found if found is not None and is_better else believed
+        return found is not None
 
-    def _sound(self, start: ModalFit, found: list[tuple[ModalFit, int]]) -> None:
-        """Refine a fit, and leave out modes until those that remain pass the gates; add it to what was found.
+    def _pruned(self, start: ModalFit, believed: ModalFit) -> Tried | None:
+        """Return a fit without the modes, of a start, that do not pass the gates; None where too few would be left.
 
         A few steps show which modes are none: to refine them in full, towards an optimum that they do not have, takes
         longer than the search itself wherever something else than modes is left.
         """
-        believed, fit = found[0][0], start
+        fit = start
         fewest = max(len(believed.omegas) + 1, len(start.omegas) - _MOST_LEFT_OUT)
         while len(fit.omegas) >= fewest:
             fit = self.fit(fit.omegas, fit.zetas, fit.clock, SHORT)
@@ -514,15 +566,15 @@ class ModeSearch(ABC, Generic[ProblemT]):
                 fit = self.fit(fit.omegas, fit.zetas, fit.clock)
                 doubtful = self._doubtful(fit)
             refusal = self._refusal(fit, believed, is_given=False)
-            self.entries.append(self._entry(fit, refusal))
+            tried = self._listed(fit, refusal)
             if not refusal:
-                found.append((fit, len(self.entries) - 1))
-                return
+                return tried
             among = doubtful or range(len(fit.omegas))
             weakest = min(among, key=lambda mode: mode_significance(fit, self.problem, mode, self.band)[0])
             fit = dataclasses.replace(
                 fit, omegas=np.delete(fit.omegas, weakest), zetas=np.delete(fit.zetas, weakest)
             )
+        return None
 
     def _pursued(self, limit: int) -> ModalFit:
         """Return modes placed one after the other as long as the criterion falls, refined by a few steps each."""
@@ -598,7 +650,7 @@ class ModeSearch(ABC, Generic[ProblemT]):
         Noise on the input reaches the outputs through the modes, and a mode beside a true one can pass for it
         until every sample weighs by what the noise has left of it.  Of many doubtful modes half are left out at once.
         """
-        found = [(weighed, self.chosen_entry, self._doubts_of(weighed))]
+        found = [(weighed, self._present.entry, self._doubts_of(weighed))]
         while len((fit := weighed.fit).omegas) > 1:
             doubtful = list(doubts := found[-1][2])
             if fit.converged and not doubtful:
@@ -620,10 +672,10 @@ class ModeSearch(ABC, Generic[ProblemT]):
             self.entries[found[-1][1]] = dataclasses.replace(
                 self.entries[found[-1][1]], refused_because=f"weighed by the noise, {reason}"
             )
-            self.entries.append(self._entry(fewer, ""))
             weighed = following
-            found.append((weighed, len(self.entries) - 1, self._doubts_of(weighed)))
-        weighed, self.chosen_entry, _ = min(reversed(found), key=lambda own: len(own[2]))
+            found.append((weighed, self._listed(fewer, "").entry, self._doubts_of(weighed)))
+        weighed, entry, _ = min(reversed(found), key=lambda own: len(own[2]))
+        self._present = Tried(self.chosen, entry)
         return weighed
 
     def _doubts_of(self, weighed: Weighed[ProblemT]) -> dict[int, str]:

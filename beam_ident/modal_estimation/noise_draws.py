@@ -19,7 +19,8 @@ import numpy as np
 
 from beam_ident.arrays import FloatArray
 from beam_ident.data.records import InputSignal
-from beam_ident.modal.regression import ClockState, ColumnBlock, ModalRegression
+from beam_ident.modal.block_rows import ColumnBlock
+from beam_ident.modal.regression import ClockState, ModalRegression
 from beam_ident.modal_estimation.input_disturbance import DisturbanceFilter, Observations
 from beam_ident.modal_estimation.variable_projection import MIN_DAMPING
 from beam_ident.noise.input_noise import Smoothing

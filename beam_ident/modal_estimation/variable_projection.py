@@ -29,9 +29,10 @@ import numpy as np
 
 from beam_ident.arrays import FloatArray
 from beam_ident.data.prior import Prior
+from beam_ident.modal.block_rows import ColumnBlock
 from beam_ident.modal.condensed_columns import CondensedColumns, residuals_of
 from beam_ident.modal.fit import ModalFit
-from beam_ident.modal.regression import ClockState, ColumnBlock
+from beam_ident.modal.regression import ClockState
 from beam_ident.noise.autoregression import ScoreCovariance, autoregression
 from beam_ident.numerics.levenberg_marquardt import HOPELESS, Minimum, minimise
 from beam_ident.numerics.linear_least_squares import LinearSolution

@@ -6,7 +6,8 @@ estimate nor are its plain intervals right.  The residuals of such a fit show th
 
 - with a known input, the colour of every output's residuals in every record (an autoregression or, at stamps of
   any spacing, a process in continuous time) whitens residuals and derivatives alike (generalised least squares);
-  outliers are left out, and what is left weighs by Student's t (``noise.noise_model``);
+  outliers are left out, and what is left weighs by Student's t (``noise.noise_model``); what outputs share of it
+  weighs by the inverse of their correlation (``noise.shared_noise``);
 - with noise on the input, a Kalman filter does (``modal_estimation.input_disturbance``).  The noise is in the
   derivatives as well, so that the score has a mean at the true parameters, the bias of errors in variables; drawn
   noise tells that mean (``modal_estimation.noise_draws``), and it is taken away (Soderstrom, Errors-in-Variables
@@ -32,9 +33,10 @@ from beam_ident.arrays import FloatArray, IndexArray
 from beam_ident.data.prior import Prior
 from beam_ident.data.records import TimeRecord
 from beam_ident.errors import IdentificationError
+from beam_ident.modal.block_rows import ColumnBlock
 from beam_ident.modal.condensed_columns import residuals_of
 from beam_ident.modal.fit import ModalFit
-from beam_ident.modal.regression import ClockState, ColumnBlock, ModalRegression
+from beam_ident.modal.regression import ClockState, ModalRegression
 from beam_ident.modal.stacked_regression import StackedRegression
 from beam_ident.modal_estimation.input_disturbance import (
     DisturbanceFilter,
@@ -45,10 +47,11 @@ from beam_ident.modal_estimation.input_disturbance import (
 from beam_ident.modal_estimation.noise_draws import FitPoint, NoiseDraws, NoiseScore, Stride
 from beam_ident.modal_estimation.record_levels import output_speeds
 from beam_ident.modal_estimation.variable_projection import MAX_DAMPING, MIN_DAMPING
-from beam_ident.noise.autoregression import ScoreCovariance, autoregression
+from beam_ident.noise.autoregression import ColouredRows, ScoreCovariance, autoregression
 from beam_ident.noise.input_noise import Smoothing
 from beam_ident.noise.noise_model import NoisePass, RecordNoise, Whitening
 from beam_ident.noise.scores import are_rounding
+from beam_ident.noise.shared_noise import SharedNoise
 from beam_ident.numerics.linear_least_squares import LinearSolution, StackedTriangle
 from beam_ident.sensing.stamp_jitter import StampJitter
 
@@ -63,6 +66,7 @@ _MAX_TRAVEL_WITH_INPUT = 200.0  # the same where noise on the input has biased t
 _STRETCH = 12_500  # samples of an output that are drawn for a long record, too few to be long themselves
 _MAX_FEIGNED = 0.9  # share of the information on a parameter, beyond which N is no better known than H - N
 _LEVEL_TURNS = 3  # of the outputs' own variances and the filter
+_MENTIONED = 0.01  # share of an output's noise that the others tell
 _MIN_POWER = 0.5  # of innovations, whose variance is one where the noise is as stated
 _MIN_VARIANCE = 1e-4  # of the residuals': an output is never taken to be less noisy than this
 _MIN_VARIANCE_IN_SEARCH = (
@@ -131,6 +135,7 @@ class WeightedFit:
             self.record_variances = np.array([own.variances for own in self.jitters])
         self.own_shares = self.record_variances / self.variances
         self.noises: list[list[RecordNoise]] = []
+        self.shared: SharedNoise | None = None
         self._is_near = False
         if smoothing is None:
             self._take_noise(fit.residuals)
@@ -138,6 +143,7 @@ class WeightedFit:
     def _take_noise(self, residuals: Sequence[FloatArray]) -> None:
         """Let every record weigh by the noise that residuals show there; what it was taken for at first stays."""
         known, self.noises, self.levels = self.noises, [], []
+        whites = []
         for j, (values, left) in enumerate(zip(self.regression.values, residuals, strict=True)):
             times, segments = self.regression.times[j], self.regression.segments[j]
             if known:
@@ -160,12 +166,37 @@ class WeightedFit:
             if all(own.is_plain for own in noises):
                 powers = [float(np.mean(np.square(left))) / self.freedom] * len(noises)
             self.levels.append(np.sqrt(powers))
+            pairs_of = zip(white, self.levels[-1], strict=True)
+            whites.append(np.concatenate([seen / max(float(level), 1e-300) for seen, level in pairs_of]))
+        if not known:
+            self.shared = SharedNoise.of(whites, self._rows_together())
+
+    def _rows_together(self) -> IndexArray:
+        """Return the rows of all outputs at every instant, -1 where one has none, an outlier, or a rounded value."""
+        records = sorted({record for own in self.regression.segments for record, _ in own})
+        every = [Observations.of_record(self.regression, record, 0.0).rows for record in records]
+        rows = np.concatenate(every)
+        for output, (noises, segments) in enumerate(zip(self.noises, self.regression.segments, strict=False)):
+            counts = np.ones(len(self.regression.values[output]), dtype=bool)
+            for own, (_, part) in zip(noises, segments, strict=True):
+                kept = own.kept if own.tails is None else own.tails.kept
+                counts[part] = own.rounding is None and (True if kept is None else kept)
+            seen = rows[:, output] >= 0
+            seen[seen] = counts[rows[seen, output]]
+            rows[~seen, output] = -1
+        return rows
 
     @property
     def is_needed(self) -> bool:
         """Whether the noise is other than what the fit took it for."""
         is_coloured = any(not own.is_plain for noises in self.noises for own in noises)
-        return self.smoothing is not None or is_coloured or bool(self.priors)
+        is_weighed = self.smoothing is not None or self.shared is not None
+        return is_weighed or is_coloured or bool(self.priors)
+
+    @property
+    def _mixes(self) -> bool:
+        """Whether whitened rows of an output depend on the parameters of others."""
+        return self.smoothing is not None or self.shared is not None
 
     @property
     def _scatters(self) -> bool:
@@ -311,7 +342,7 @@ class WeightedFit:
         """Return D and w of a long record in as many rows as the outputs touch columns."""
         n_outputs = len(self.fit.coefficients)
         # Rows of outputs that share no parameter but poles and clock need not be turned together.
-        n_turned = n_outputs if self.smoothing is None else 1
+        n_turned = 1 if self._mixes else n_outputs
         triangles = [StackedTriangle() for _ in range(n_turned)]
         innovations: list[list[FloatArray]] = [[] for _ in range(n_outputs)]
         for columns in whitened():
@@ -360,6 +391,8 @@ class WeightedFit:
                     # The weights of tails go with the residuals.
                     self._take_noise([rows[:, -1].copy() for rows in columns])
                 columns = [self._filtered(piece, output, rows, passes) for output, rows in enumerate(columns)]
+                if self.shared is not None:
+                    columns = self.shared.unshared(columns, piece.places)
             elif isinstance(piece, ModalRegression) and piece.record is not None:
                 # The filter's state goes on from piece to piece.
                 own = filters[piece.record]
@@ -378,7 +411,7 @@ class WeightedFit:
     def _touched_slices(self, output: int) -> list[tuple[slice, slice]]:
         """Return which parameters an output's whitened rows depend on, and the columns that hold them."""
         sizes, n = [len(found) for found in self.fit.coefficients], self.n_theta
-        if self.smoothing is not None:  # the filter mixes the outputs
+        if self._mixes:
             both = slice(0, n + sum(sizes) + 1)
             return [(both, both)]
         first, own = n + sum(sizes[:output]), sizes[output]
@@ -398,7 +431,7 @@ class WeightedFit:
         """Return the derivatives of an output by the parameters that it touches, and room for one column more."""
         sizes = [len(own) for own in self.fit.coefficients]
         first, total = self.n_theta, self.n_theta + sizes[output]
-        if self.smoothing is not None:
+        if self._mixes:
             first, total = first + sum(sizes[:output]), self.n_theta + sum(sizes)
         full = np.zeros((len(block.matrix), total + 1), order="F")
         full[:, : self.n_theta] = block.slopes(found, self.latency.is_free, self.clock_rate.is_free)
@@ -643,7 +676,12 @@ class WeightedFit:
             for noises, segments in zip(self.noises, self.regression.segments, strict=False)
         ]
         touched = [self._touched(output) for output in range(len(point.coefficients))]
-        covariance = _sandwich(inverse, linear.innovations, touched, linear.whitened, inflations)
+        places = [piece.places for piece in self.regression.pieces]
+        # The filter knows no noise that outputs share: it weighs as if there were none, and the covariance counts it.
+        left = None if self.smoothing is None else SharedNoise.of(linear.innovations, self._rows_together())
+        covariance = _sandwich(
+            inverse, linear.innovations, touched, linear.whitened, inflations, left, places
+        )
         if noise is not None:  # (I.18)
             covariance = covariance + inverse @ (noise.scatter + noise.mean_error) @ inverse
         residuals = self._residuals(point)
@@ -668,11 +706,20 @@ class WeightedFit:
             sigmas=np.sqrt(powers / self.freedom),
             covariance=0.5 * (covariance + covariance.T),
             input_noise_shares=shares,
-            noises=tuple(tuple("" if own.is_plain else str(own) for own in noises) for noises in self.noises)
+            noises=tuple(
+                tuple(self._said(output, own) for own in noises) for output, noises in enumerate(self.noises)
+            )
             or self._said_of_stamps(),
             spreads=self._spreads(),
             iterations=self.fit.iterations + steps,
         )
+
+    def _said(self, output: int, noise: RecordNoise) -> str:
+        """Return what is said of an output's noise in one record; nothing where it is plain."""
+        share = 0.0 if self.shared is None else self.shared.share(output)
+        if share < _MENTIONED:
+            return "" if noise.is_plain else str(noise)
+        return f"{noise}, {share:.0%} of it shared with other outputs"
 
     def _spreads(self) -> tuple[FloatArray, ...]:
         """Return the noise of every output's rows over that of all, where stamps scatter."""
@@ -712,6 +759,8 @@ def _sandwich(
     touched: Sequence[IndexArray],
     whitened: Callable[[], Iterable[Sequence[FloatArray]]],
     inflations: Sequence[FloatArray],
+    shared: SharedNoise | None,
+    places: Sequence[Sequence[slice]],
 ) -> FloatArray:
     """Return the covariance (I.11) under the colour that the innovations still have, from that without colour.
 
@@ -722,15 +771,22 @@ def _sandwich(
     touched : sequence of ndarray -- which parameters go with the columns of every output
     whitened : callable -- returns D and w side by side, of every output, piece by piece
     inflations : sequence of ndarray -- of every output, by what the variance of its rows grows; none is one
+    shared : SharedNoise or None -- what the innovations still share, all of which touch all parameters then
+    places : sequence of sequence of slice -- rows of every output in every piece
     """
     # The sandwich (I.11), H^-1 + H^-1 (S - D^T D) H^-1: S counts the colour that the innovations still have.
     colours = [autoregression(own) for own in innovations]
     sums = {output: ScoreCovariance(colour) for output, colour in enumerate(colours) if len(colour) > 1}
     grown = [output for output, own in enumerate(inflations) if np.any(own != 1.0)]
-    if not sums and not grown:
+    if not sums and not grown and shared is None:
         return inverse
     excess, done = np.zeros_like(inverse), [0] * len(innovations)
-    for columns in whitened():
+    # What outputs share is taken to have the colour that all of them have on average.
+    behind = [ColouredRows(autoregression(np.concatenate(innovations))) for _ in innovations if shared]
+    for here, columns in zip(places, whitened(), strict=True):
+        if shared is not None:
+            designs = zip(behind, columns, strict=True)
+            excess += shared.excess([own.passed(rows[:, :-1]) for own, rows in designs], here)
         for output, own in sums.items():
             own.add(columns[output][:, :-1])
         for output in grown:

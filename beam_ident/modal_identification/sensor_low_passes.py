@@ -13,7 +13,6 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import minimize, minimize_scalar
 from scipy.special import chdtri as chi_squared_isf
 
 from beam_ident.arrays import FloatArray
@@ -35,13 +34,15 @@ _LEVEL = 1e-3  # how often an output without a low-pass is looked at, and said t
 _STEP = 0.1  # radians of the fastest mode: of differences by time
 _LAGS = 2.0 ** np.arange(-4, 3)  # radians of the fastest mode by which a low-pass may be late
 _SHAPES = (1.0 / 3.0, 0.5)  # bend over square of lag: the mean over an exposure, and Butterworth
-_MAX_SHAPE = 1.0
+_MIN_SHAPE, _MAX_SHAPE = 1e-3, 1.0
 _MAX_SAMPLES = 2_000  # of an output that tell
 _MAX_LEFT_OUT = 3  # modes
 _NEXT_TO_NOTHING = 0.2  # of the square of what was left
-_NEAR, _CLOSE = 0.8, 1e-3  # in the logarithm of a lag: where it is looked for, and how closely
-_FAR = 5.0  # the same: where it is looked for at most
-_EVALUATIONS, _RESTARTS = 60, 5
+_MAX_FACTOR = 2.0  # by which a step changes a lag at most: the lags that it begins at are so far apart
+_STEPS, _HALVINGS = 12, 5
+_SETTLED = (
+    0.01  # in log-likelihood: a step that gains less moves nothing by a sixth of its standard deviation
+)
 _SMALL = 1e-3  # of a lag: a step that is a derivative
 
 
@@ -194,11 +195,14 @@ class _Alone:
         self._terms = replace(regression.structure, has_free_response=True)
         self._input_names, self._clocks = regression.input_names, clocks
 
+    def _behind(self, low_pass: LowPass | None) -> list[TimeRecord]:
+        """Return the records of the output behind a low-pass."""
+        outputs = [replace(one.outputs[0], low_pass=low_pass) for one in self._records]
+        return [replace(one, outputs=(own,)) for one, own in zip(self._records, outputs, strict=True)]
+
     def _through(self, low_pass: LowPass | None) -> ModalRegression:
         """Return the regression of the output behind a low-pass."""
-        outputs = [replace(one.outputs[0], low_pass=low_pass) for one in self._records]
-        behind = [replace(one, outputs=(own,)) for one, own in zip(self._records, outputs, strict=True)]
-        return ModalRegression(behind, self._terms, self._input_names)
+        return ModalRegression(self._behind(low_pass), self._terms, self._input_names)
 
     def fitted(self, low_pass: LowPass | None, start: ModalFit) -> ModalFit:
         """Return the fit of modes and clock behind a low-pass."""
@@ -235,43 +239,38 @@ class _Alone:
         return min(trials, key=lambda own: own.fit.cost)
 
     def refined(self, start: _Trial, order: int) -> _Trial:
-        """Return the low-pass of first or second order that leaves least, near some start."""
+        """Return the low-pass of first or second order that leaves least, near some start.
+
+        Notes
+        -----
+        Lag and bend, clock and poles make up for each other: every step solves for all of them, the low-pass to first
+        order (Gauss-Newton), and is halved until less is left.
+        """
         best = start
-        middle = math.log(start.low_pass.lag_s)
-
-        def cost(numbers: FloatArray) -> float:
-            nonlocal best
-            # Without a low-pass the valley of clock and lag leads to none, where the lag's logarithm has no end.
-            lag = math.exp(min(max(float(numbers[0]), middle - _FAR), middle + _FAR))
-            shape = min(max(float(numbers[1]), 0.0), _MAX_SHAPE)
-            low_pass = LowPass(lag, shape * lag**2)
-            latency = best.fit.clock.latency + best.low_pass.lag_s - lag
-            moved = replace(best.fit, clock=replace(best.fit.clock, latency=latency))
-            trial = _Trial(low_pass, self.fitted(low_pass, moved))
-            if trial.fit.cost < best.fit.cost:
-                best = trial
-            return trial.fit.cost
-
-        if order == 1:
-            around = middle - _NEAR, middle + _NEAR
-            minimize_scalar(
-                lambda lag: cost(np.array([lag, 0.0])),
-                bounds=around,
-                method="bounded",
-                options={"xatol": _CLOSE},
+        for _ in range(_STEPS):
+            problem = self._through(best.low_pass)
+            columns = low_pass_columns(
+                problem, self._behind(best.low_pass), best.fit, problem.output_names[0]
             )
-            return best
-        for _ in range(_RESTARTS):  # along a curved valley
-            before, begin = (
-                best,
-                (math.log(best.low_pass.lag_s), best.low_pass.bend_s2 / best.low_pass.lag_s**2),
-            )
-            simplex = np.array(begin) + _NEAR / 4.0 * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
-            options = {"initial_simplex": simplex, "maxfev": _EVALUATIONS, "xatol": _CLOSE, "fatol": 0.1}
-            minimize(cost, np.array(begin), method="Nelder-Mead", options=options)
-            if before.fit.cost - best.fit.cost < 1.0:
+            beside = problem.with_own_columns({0: columns[:, :order]})
+            joint = fit_modes(beside, best.fit.omegas, best.fit.zetas, best.fit.clock, *self._clocks, SHORT)
+            step, before = joint.coefficients[0][-order:], best.fit.cost
+            for share in 0.5 ** np.arange(_HALVINGS):
+                trial = self._stepped(best, joint, share * step)
+                if trial.fit.cost < before:
+                    best = trial
+                    break
+            if not before - best.fit.cost > _SETTLED:
                 break
         return best
+
+    def _stepped(self, before: _Trial, joint: ModalFit, step: FloatArray) -> _Trial:
+        """Return a fit behind a low-pass that is moved by a step of lag, and of bend, within their ranges."""
+        known = before.low_pass
+        lag = known.lag_s * float(np.clip(1.0 + step[0] / known.lag_s, 1.0 / _MAX_FACTOR, _MAX_FACTOR))
+        bend = known.bend_s2 + float(step[1]) if len(step) > 1 else 0.0
+        low_pass = LowPass(lag, min(max(bend, _MIN_SHAPE * lag**2 * (len(step) > 1)), _MAX_SHAPE * lag**2))
+        return _Trial(low_pass, self.fitted(low_pass, joint))
 
 
 def low_pass_columns(

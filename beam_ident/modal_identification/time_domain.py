@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import functools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -20,7 +19,7 @@ from beam_ident.data.batches import Progress
 from beam_ident.data.own_clocks import OwnClock, on_common_clock
 from beam_ident.data.prior import Prior
 from beam_ident.data.records import TimeRecord
-from beam_ident.errors import EstimationError
+from beam_ident.errors import EstimationError, IdentificationError
 from beam_ident.modal.identification_result import IdentificationResult
 from beam_ident.modal.regression import farthest_latency
 from beam_ident.modal.structure import ModalStructure, StructureKind, kinds_by_units
@@ -30,14 +29,18 @@ from beam_ident.modal_estimation.mode_search import (
     checked_limit,
     silent,
 )
+from beam_ident.modal_identification.clock_jump_moves import ClockJumps
+from beam_ident.modal_identification.clock_moves import IdleClocks, OwnClockSteps, SensorLowPasses
 from beam_ident.modal_identification.coarse_delays import coarse_delays
-from beam_ident.modal_identification.identification_task import IdentificationTask
-from beam_ident.modal_identification.unseen_noise import Leftover, unseen_noise
+from beam_ident.modal_identification.conditions import Conditions
+from beam_ident.modal_identification.estimation import End, IdentificationTask
+from beam_ident.modal_identification.noise_moves import OutlierMask, UnseenInputNoise
+from beam_ident.modal_identification.search_moves import explored
 from beam_ident.numerics.blas_threads import on_one_thread
 from beam_ident.sensing.blows import without_noise_between_blows
 from beam_ident.sensing.damage import damage_warnings, without_repeated
 from beam_ident.sensing.quantisation import without_clipped
-from beam_ident.sensing.still_noise import StillNoise, with_found_noise
+from beam_ident.sensing.still_noise import with_found_noise
 
 LATENCY_PRIOR = Prior(0.0, math.inf)
 CLOCK_RATE_PRIOR = Prior(0.0, 50e-6)
@@ -104,128 +107,163 @@ def identify(
     """
     records = require_records(record, may_lack_outputs=True, takes_low_passes=True)
     drives = chosen_inputs(records[0], input_name)
+    asked_latency = latency
+
+    def again(
+        kind: StructureKind | ModalStructure, by_s: float = 0.0, latency: Prior | None = None
+    ) -> IdentificationResult:
+        """Identify with another structure, or with stamps that are earlier by a time [s]."""
+        moved = [_earlier(one, by_s) for one in records]
+        prior = asked_latency if latency is None else latency
+        found = identify(moved, kind, n_modes, prior, clock_rate, input_name, max_modes, progress)
+        return found.with_later_stamps(by_s)
+
     if structure is None:
-        outputs = [output.unit for one in records for output in one.outputs]
-        return with_kind_of(
-            kinds_by_units([drive.unit for drive in drives], outputs),
-            lambda kind: identify(
-                records, kind, n_modes, latency, clock_rate, input_name, max_modes, progress
-            ),
-        )
+        units = [output.unit for one in records for output in one.outputs]
+        return with_kind_of(kinds_by_units([drive.unit for drive in drives], units), again)
     input_names = tuple(drive.name for drive in drives)
     terms = structure if isinstance(structure, ModalStructure) else ModalStructure(structure)
     checked_limit(n_modes, max_modes)
     names = list(dict.fromkeys(name for one in records for name in one.output_names))
-    own_latencies, latency = _own_priors("latency", latency, names)
+    own_latencies, common = _own_priors("latency", latency, names)
+    # A clock is looked for about 0, as far as the input is continued beyond its ends.
     farthest = farthest_latency([one.input(drive.name) for one in records for drive in drives])
-
-    def about(late_s: float, sd: float) -> IdentificationResult:
-        """A clock is looked for about 0, as far as the input is continued beyond its ends."""
-        near = [_earlier(one, late_s) for one in records]
-        found = identify(
-            near, structure, n_modes, Prior(0.0, sd), clock_rate, input_name, max_modes, progress
-        )
-        return found.with_later_stamps(late_s)
-
-    if latency is not None and latency.mean and abs(latency.mean) + _FAR_SD * latency.sd > farthest:
-        return about(latency.mean, latency.sd)
-    own_rates_known, clock_rate = _own_priors("clock_rate", clock_rate, names)
-    if terms.is_test and any(_jumps_into(terms, own, input_names) for own in records):
-        terms = replace(terms, has_residual=False)
-    for one in records:
-        for drive in chosen_inputs(one, input_names):
-            require_input(drive, is_needed=False)
-    records, noisy_blows = (
-        without_noise_between_blows(records, input_names) if terms.is_test else (records, "")
-    )
-    records, repeated = without_repeated(records, names)
-    records, found = with_found_noise(records, input_names)
-    latency = latency or (Prior() if terms.is_test else LATENCY_PRIOR)
-    clock_rate = clock_rate or (Prior() if terms.is_test else CLOCK_RATE_PRIOR)
-    if not set(names) - set(own_latencies):  # nothing is left that could be in common
-        latency = Prior()
-    if not set(names) - set(own_rates_known):
-        clock_rate = Prior()
-    late = {}
-    if latency.sd >= farthest and len(drives) == 1 and not own_latencies:
-        late = coarse_delays(records, input_names[0], _BEGINS_FAR * farthest)
-    common = min(late.values(), key=abs, default=0.0)
-    if abs(common) > _BEGINS_FAR * farthest:
-        with contextlib.suppress(EstimationError):
-            return about(common, farthest)
-    task = IdentificationTask(
-        terms,
+    if common is not None and common.mean and abs(common.mean) + _FAR_SD * common.sd > farthest:
+        return again(structure, common.mean, Prior(0.0, common.sd))
+    own_rates, rate = _own_priors("clock_rate", clock_rate, names)
+    conditions, said = _prepared(records, terms, names, input_names)
+    asked = IdentificationTask(
+        input_names,
+        n_modes,
+        max_modes,
+        _in_common(common, Prior() if terms.is_test else LATENCY_PRIOR, own_latencies, names),
+        _in_common(rate, Prior() if terms.is_test else CLOCK_RATE_PRIOR, own_rates, names),
+        progress or silent,
+        own_latencies,
+        own_rates,
         may_rest=not isinstance(structure, ModalStructure) and not terms.is_motion,
-        n_modes=n_modes,
-        max_modes=max_modes,
-        latency=latency,
-        clock_rate=clock_rate,
-        input_names=input_names,
-        progress=progress or silent,
-        found_noise=found,
-        own_latencies=own_latencies,
-        own_rates=own_rates_known,
     )
-    apart = {name: OwnClock(delay - common) for name, delay in late.items()}
-    apart = {name: own for name, own in apart.items() if abs(own.delay) > _BEGINS_FAR * farthest}
-    if apart:
-        # As if they had been stamped with the others, which says by how much more or less they are late.
+    late = _far_delays(asked, conditions, farthest)
+    least = min(late.values(), key=abs, default=0.0)
+    if abs(least) > _BEGINS_FAR * farthest:
         with contextlib.suppress(EstimationError):
-            found_there = task.result([on_common_clock(one, apart) for one in records]).model.own_clocks
-            clocks = {
-                name: found_there.get(name, OwnClock()).moved(own.delay, 0.0) for name, own in apart.items()
-            }
-            task = replace(task, first_clocks={**found_there, **clocks})
-    damage = [text for one in records for text in damage_warnings(one.outputs, one.inputs)]
+            return again(structure, least, Prior(0.0, farthest))
+    apart = {name: delay - least for name, delay in late.items()}
+    apart = {name: delay for name, delay in apart.items() if abs(delay) > _BEGINS_FAR * farthest}
+    result = _identified(asked, _far_apart(asked, conditions, apart), names, said)
+    if not asked.latency.is_free or abs(result.model.latency) <= _AT_THE_END * farthest:
+        return result
+    return replace(result, warnings=(*result.warnings, _TOO_LATE.format(result.model.latency, farthest)))
+
+
+def _identified(
+    asked: IdentificationTask, conditions: Conditions, names: Sequence[str], said: Sequence[str]
+) -> IdentificationResult:
+    """Return what a search finds, without clipped samples, and with what is known of the records before it."""
+    damage = [text for one in conditions.measured for text in damage_warnings(one.outputs, one.inputs)]
     try:
-        result, said = without_clipped(
-            records, names, functools.partial(_with_unseen_noise, task), _prediction
+        result, clipped = without_clipped(
+            list(conditions.measured),
+            names,
+            lambda own: _explored(asked, replace(conditions, measured=own)).result,
+            _prediction,
         )
     except EstimationError as err:
         if not damage:
             raise
         raise EstimationError(f"{err}. {' '.join(damage)}") from err
-    doubts = [text for text in (*repeated, said, noisy_blows) if text]
-    if latency.is_free and abs(result.model.latency) > _AT_THE_END * farthest:
-        doubts.append(_TOO_LATE.format(result.model.latency, farthest))
-    doubts += damage
+    doubts = [text for text in (*said, clipped, *damage) if text]
     return replace(result, warnings=(*result.warnings, *doubts)) if doubts else result
 
 
-def _with_unseen_noise(task: IdentificationTask, records: list[TimeRecord]) -> IdentificationResult:
-    """Return what a task finds, weighed by noise of the input that only the outputs show, where they do."""
-    result = task.result(records)
-    if len(task.input_names) > 1 or not (result.converged and result.band.is_excited):
-        return result
-    drives = [one.input(task.input_names[0]) for one in records]
-    if any(drive.sigma > 0.0 for drive in drives) or all(own.whiteness.is_white for own in result.outputs):
-        return result
-    leftovers = []
-    for place, own in enumerate(result.outputs):
-        seen = [k for k, one in enumerate(records) if own.name in one.output_names]
-        if len(seen) != len(own.records):
-            return result
-        late = result.model.latency + float(result.model.output_delays[place])
-        for k, part in zip(seen, own.records, strict=True):
-            output = records[k].output(own.name)
-            low_pass = result.model.low_passes.get(own.name, output.low_pass)
-            drive = drives[k].seen_through(low_pass)
-            leftovers.append(Leftover(place, part.times_s - late, part.residuals, output.exposure_s, drive))
-    noise = StillNoise(unseen_noise(result.model, leftovers), is_behind=True)
-    if not noise.sigma > 0.0:
-        return result
-    noisy = [
-        replace(
-            one, inputs=tuple(replace(own, sigma=noise.sigma) if own is drive else own for own in one.inputs)
-        )
-        for one, drive in zip(records, drives, strict=True)
+def _far_delays(asked: IdentificationTask, conditions: Conditions, farthest: float) -> dict[str, float]:
+    """Return how late outputs are as phases alone say, where nothing is known of it [s]."""
+    if asked.latency.sd < farthest or len(asked.input_names) > 1 or asked.own_latencies:
+        return {}
+    return coarse_delays(conditions.measured, asked.input_names[0], _BEGINS_FAR * farthest)
+
+
+def _prepared(
+    records: list[TimeRecord], terms: ModalStructure, names: Sequence[str], input_names: tuple[str, ...]
+) -> tuple[Conditions, list[str]]:
+    """Return what is believed of records before any fit, and what must be known of it."""
+    if terms.is_test and any(_jumps_into(terms, own, input_names) for own in records):
+        terms = replace(terms, has_residual=False)
+    for one in records:
+        for drive in chosen_inputs(one, input_names):
+            require_input(drive, is_needed=False)
+    noisy_blows = ""
+    if terms.is_test:
+        records, noisy_blows = without_noise_between_blows(records, input_names)
+    records, repeated = without_repeated(records, names)
+    records, found_noise = with_found_noise(records, input_names)
+    return Conditions(records, terms, found_noise=found_noise), [*repeated, noisy_blows]
+
+
+def _in_common(
+    prior: Prior | None, default: Prior, known: Mapping[str, Prior], names: Sequence[str]
+) -> Prior:
+    """Return what is known of the clock in common; nothing is left of it where all outputs' own is known."""
+    return (prior or default) if set(names) - set(known) else Prior()
+
+
+def _explored(asked: IdentificationTask, conditions: Conditions) -> End:
+    """Return where the search ends, with jumps of clocks where some are likely and it can be made with them."""
+    jumps = ClockJumps(asked)
+    if likely := jumps.likely(conditions):
+        with contextlib.suppress(EstimationError):
+            return _explored_on(asked, replace(conditions, jumps=likely), jumps)
+    return _explored_on(asked, conditions, jumps)
+
+
+def _explored_on(asked: IdentificationTask, conditions: Conditions, jumps: ClockJumps) -> End:
+    """Return where the search ends that begins on clocks with some jumps, or none."""
+    clocks = {**conditions.clocks, **_known_clocks(asked, conditions)}
+    steps = OwnClockSteps(len(conditions.measured[0].outputs))
+    moves = steps, SensorLowPasses(steps), IdleClocks(), OutlierMask(), jumps, UnseenInputNoise()
+    return explored(asked.end, replace(conditions, clocks=clocks), moves)
+
+
+def _known_clocks(asked: IdentificationTask, conditions: Conditions) -> dict[str, OwnClock]:
+    """Return the clocks that outputs are known to have against that which the others share."""
+    known = {*asked.own_latencies, *asked.own_rates}
+    if not known:
+        return {}
+    latency, rate = asked.latency.mean, asked.clock_rate.mean
+    rest = [
+        one.select(left)
+        for one in conditions.steady
+        if (left := [name for name in one.output_names if name not in known])
     ]
-    found_noise = dict.fromkeys(range(len(records)), noise)
+    if len(rest) == len(conditions.steady):
+        with contextlib.suppress(IdentificationError):
+            shared = replace(asked, own_latencies={}, own_rates={})
+            model = _explored(shared, replace(conditions, measured=rest, jumps=())).result.model
+            latency, rate = model.latency, model.clock_rate
+    return {
+        name: OwnClock(
+            asked.own_latencies[name].mean - latency if name in asked.own_latencies else 0.0,
+            asked.own_rates[name].mean - rate if name in asked.own_rates else 0.0,
+            name in asked.own_rates,
+        )
+        for name in known
+    }
+
+
+def _far_apart(asked: IdentificationTask, conditions: Conditions, apart: Mapping[str, float]) -> Conditions:
+    """Return conditions of outputs that are later than others by more than a search looks [s].
+
+    As if they had been stamped with the others, which says by how much more or less they are late.
+    """
+    if not apart:
+        return conditions
+    far = {name: OwnClock(delay) for name, delay in apart.items()}
+    there = [on_common_clock(one, far) for one in conditions.measured]
     with contextlib.suppress(EstimationError):
-        weighed = replace(task, found_noise=found_noise).result(noisy)
-        if weighed.converged:
-            return weighed
-    return result
+        found = _explored(asked, replace(conditions, measured=there)).result.model.own_clocks
+        clocks = {name: found.get(name, OwnClock()).moved(delay, 0.0) for name, delay in apart.items()}
+        return replace(conditions, clocks={**found, **clocks})
+    return conditions
 
 
 def _jumps_into(structure: ModalStructure, record: TimeRecord, input_names: Sequence[str]) -> bool:

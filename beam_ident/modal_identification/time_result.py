@@ -220,67 +220,84 @@ class Findings:
     def _warnings(
         self, fit: ModalFit, regression: ModalRegression, outputs: tuple[OutputFit, ...]
     ) -> list[str]:
-        warnings = mode_warnings(fit, regression, self.band)
-        warnings += gap_sentences(regression)
+        records = [(output.name, output.records) for output in outputs]
+        parts = [
+            (name, [(own.times_s, own.modelled, own.residuals) for own in fits]) for name, fits in records
+        ]
+        return [
+            *mode_warnings(fit, regression, self.band),
+            *gap_sentences(regression),
+            *self._motion_warnings(fit, regression, outputs),
+            *filter(None, (outlier_warning(records), rounding_warning(records))),
+            *misfit_warnings(parts, self._noises(fit, regression, outputs)),
+            *self._path_warnings(fit, regression, outputs),
+            *rate_warnings(fit.clock.rate, self.priors[1]),
+            *self._noise_warnings(fit, regression, outputs),
+        ]
+
+    def _motion_warnings(
+        self, fit: ModalFit, regression: ModalRegression, outputs: tuple[OutputFit, ...]
+    ) -> list[str]:
+        """Return what must be known of motion that the structure leaves out, or that nothing shows."""
+        warnings = []
         if not regression.structure.has_free_response:
             warnings += left_out_motion(fit, self.samples())
-        if regression.structure.kind == "force" and self.band.is_excited:
+        if not self.band.is_excited:
+            return [
+                *warnings,
+                "The input stands still: only the free decay was identified, residues mean nothing.",
+            ]
+        if regression.structure.kind == "force":
             some = self.samples()
             friction = FrictionEstimate.of(some.fit, some.regression)
-            if friction.is_visible:
-                warnings.append(friction.warning())
+            warnings += [friction.warning()] * friction.is_visible
         # What begins anew where hardly a sample follows is known by the bridge all the same.
-        if fit.rank_deficient and self.band.is_excited and not regression.restarts.count:
-            names = ", ".join(regression.output_names[j] for j in fit.rank_deficient)
+        if fit.rank_deficient and not regression.restarts.count:
+            names = ", ".join(outputs[j].name for j in fit.rank_deficient)
             warnings.append(f"Some linear terms cannot be told apart at {names}; they were set to zero.")
-        if not self.band.is_excited:
-            warnings.append(
-                "The input stands still: only the free decay was identified, residues mean nothing."
-            )
-        if said := outlier_warning([(output.name, output.records) for output in outputs]):
-            warnings.append(said)
-        if said := rounding_warning([(output.name, output.records) for output in outputs]):
-            warnings.append(said)
-        warnings += misfit_warnings(
-            [
-                (output.name, [(own.times_s, own.modelled, own.residuals) for own in output.records])
-                for output in outputs
-            ],
-            self._noises(fit, regression, outputs),
-        )
-        if regression.n_forced == 1 and self.band.is_excited:
-            warnings += no_body_alone(self.found, regression, outputs, self.records)
-        if regression.n_forced == 1 and self.band.is_excited and len(regression.pieces) == 1:
+        return warnings
+
+    def _path_warnings(
+        self, fit: ModalFit, regression: ModalRegression, outputs: tuple[OutputFit, ...]
+    ) -> list[str]:
+        """Return what must be known of the way from the only input to the outputs."""
+        if regression.n_forced > 1 or not self.band.is_excited:
+            return []
+        warnings = no_body_alone(self.found, regression, outputs, self.records)
+        if len(regression.pieces) == 1:
             warnings += bent_input(self.found, fit, regression, outputs, self.samples, self.records)
-        warnings += rate_warnings(fit.clock.rate, self.priors[1])
-        shares = fit.input_noise_shares
+        return warnings
+
+    def _noise_warnings(
+        self, fit: ModalFit, regression: ModalRegression, outputs: tuple[OutputFit, ...]
+    ) -> list[str]:
+        """Return what must be known of noise on the input, or of the colour of that on the outputs."""
+        shares, warnings = fit.input_noise_shares, []
         if self.found_noise and np.max(shares) > 0.0:
             index = max(self.found_noise, key=lambda k: self.found_noise[k].sigma)
             treatment = (
                 "Inputs and outputs were weighed together as if sigma of the InputSignal had stated it."
             )
             warnings.append(found_noise_warning(regression.drives[index], self.found_noise[index], treatment))
-        if np.max(shares) > VISIBLE_SHARE or not fit.converged:
+        is_visible = np.max(shares) > VISIBLE_SHARE
+        if is_visible or not fit.converged:
             warnings += [said for drive in self.plain.drives if (said := counted_input_warning(drive))]
-        if np.max(shares) > VISIBLE_SHARE:
-            worst = int(np.argmax(shares))
-            is_hidden = self.band.high_hz < self.band.unfolded_hz
+        if not is_visible:
+            figures = ((own.whiteness, own.measured, own.residuals) for own in outputs)
+            return warnings + colour_warning(regression.output_names, *zip(*figures, strict=True))
+        worst = int(np.argmax(shares))
+        is_hidden = self.band.high_hz < self.band.unfolded_hz
+        warnings.append(
+            f"Noise on the input makes up {shares[worst]:.0%} of the noise variance of "
+            f"{outputs[worst].name}. Inputs and outputs were weighed together; the standard deviations "
+            "include it as far as the input's sigma is right."
+            + f" Above {self.band.high_hz:.3g} Hz what moves the input does not stand out of it, and modes are "
+            "missed." * is_hidden
+        )
+        if len(self.plain.pieces) > 1:
             warnings.append(
-                f"Noise on the input makes up {shares[worst]:.0%} of the noise variance of "
-                f"{outputs[worst].name}. Inputs and outputs were weighed together; the standard deviations "
-                "include it as far as the input's sigma is right."
-                + f" Above {self.band.high_hz:.3g} Hz what moves the input does not stand out of it, and modes are "
-                "missed." * is_hidden
-            )
-            if len(self.plain.pieces) > 1:
-                warnings.append(
-                    f"A record of more than {MAX_WHOLE} samples was searched as if {regression.input_names[0]} had "
-                    "no noise, which was weighed in the last fit alone: modes may be missing, or too many. Compare "
-                    "with what a stretch of fewer samples shows, or give n_modes."
-                )
-        else:
-            warnings += colour_warning(
-                regression.output_names,
-                *zip(*((o.whiteness, o.measured, o.residuals) for o in outputs), strict=True),
+                f"A record of more than {MAX_WHOLE} samples was searched as if {regression.input_names[0]} had "
+                "no noise, which was weighed in the last fit alone: modes may be missing, or too many. Compare "
+                "with what a stretch of fewer samples shows, or give n_modes."
             )
         return warnings

@@ -34,6 +34,7 @@ from beam_ident.modal_estimation.mode_search import (
     MANY_MODES,
     SHORT,
     SLOW_NOISE,
+    Looks,
     ModeSearch,
     Weighed,
 )
@@ -110,7 +111,7 @@ class TimeSearch(ModeSearch[ModalRegression]):
     ) -> None:
         self.is_in_doubt = False  # since a mode that explains much was not believed
         self.end_before: ModalFit | None = (
-            None  # of structures inside, with clocks that have moved a little since
+            None  # of structures inside, on clocks that have moved a little since
         )
         self.clocks = clocks or SignalClocks.of(regression)
         self.found_noise = found_noise
@@ -270,12 +271,12 @@ class TimeSearch(ModeSearch[ModalRegression]):
         OwnClocks
             Some outputs have a clock of their own.
         """
-        may_ask = self.is_persistent and not (self.is_in_doubt or self.clocks.own)
+        may_ask = self.looks.past_doubt and not (self.is_in_doubt or self.clocks.own)
         self.is_in_doubt = True
         if not may_ask or self.plain.n_outputs < 2 or not self.band.is_excited:
             return
         searches = [own for name in self.plain.output_names if (own := self._alone(name)) is not None]
-        most = len(self._believed[0].omegas)
+        most = len(self._believed.fit.omegas)
         for reference in searches[:_ASKED]:
             reference._extend(None, MANY_MODES)
             # One that shows less than others have is no judge of clocks: the modes that it misses bend its own.
@@ -337,8 +338,14 @@ class TimeSearch(ModeSearch[ModalRegression]):
         if max(map(len, regression.times)) > THINNED:
             regression = regression.thinned(THINNED)
         search = TimeSearch(records, regression, latency, self.clock_rate, self.input_names, self.progress)
-        search.is_persistent = False
+        search.looks.past_doubt = False
         return search
+
+    def spare(self, before: TimeSearch) -> None:
+        """Look for nothing that a search of nearly the same records has looked for in vain."""
+        self.is_in_doubt = before.is_in_doubt
+        self.end_before = before.chosen if before.paid.inside else before.end_before
+        self.looks = Looks(before.paid.past_doubt, self.end_before is not None)
 
     def run_plain(self, n_modes: int) -> None:
         """Search for as many modes with equal weights, and nowhere else."""
@@ -353,7 +360,7 @@ class TimeSearch(ModeSearch[ModalRegression]):
     def ended_early(self, fit: ModalFit, stop: BaseException, missing: str) -> Weighed[ModalRegression]:
         """Return a fit with equal weights as the best there is."""
         as_measured = unweighed(self.problem, fit)
-        return self.unfinished(Weighed(as_measured, self.plain, self.problem), stop, missing)
+        return Weighed(as_measured, self.plain, self.problem).unfinished(stop, missing)
 
     def reweigh(self) -> None:
         """Let records weigh by what the present model leaves: a loud one hides what a quiet one shows."""
@@ -627,7 +634,7 @@ class LongSearch(TimeSearch):
             found_noise=before.found_noise,
         )
         self.without_modes = self.fit(np.empty(0), np.empty(0), before.without_modes.clock)
-        self.is_persistent, self.is_worth_persisting = before.is_persistent, before.is_worth_persisting
+        self.looks, self.paid = replace(before.looks), replace(before.paid)
         self.is_curved = before.is_curved
 
     def propose(self, fit: ModalFit, excluded: Sequence[float]) -> list[Candidate]:

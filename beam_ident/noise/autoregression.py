@@ -124,6 +124,36 @@ class ScoreCovariance:
         return np.asarray((self._products + self._state @ later @ self._state.T) / variance)
 
 
+class ColouredRows:
+    """Rows behind an autoregression of variance one, coming piece by piece.
+
+    Of two outputs whose noise has one colour and the correlation r, ``r D_j^T R D_k`` is r times the products of both
+    outputs' rows behind it, but for what rings on after the last row.
+
+    Parameters
+    ----------
+    coefficients : ndarray, shape (order + 1,) -- 1, c_1 .. c_p of a stable autoregression
+    """
+
+    def __init__(self, coefficients: FloatArray) -> None:
+        self._colour = coefficients
+        self._state: FloatArray = np.empty(0)
+        begun = coefficients[1:]
+        self._sd = (
+            math.sqrt(1.0 + float(begun @ _rest_of_response(coefficients) @ begun)) if len(begun) else 1.0
+        )
+
+    def passed(self, design: FloatArray) -> FloatArray:
+        """Return the next rows behind it, shape (n, n_parameters)."""
+        if len(self._colour) == 1:
+            return design
+        rows = np.ascontiguousarray(design.T)
+        if not len(self._state):
+            self._state = np.zeros((len(rows), len(self._colour) - 1))
+        found, self._state = all_pole(self._colour, rows, self._state)
+        return np.asarray(found.T / self._sd)
+
+
 def _rest_of_response(coefficients: FloatArray) -> FloatArray:
     """Return G for which ``z^T G z`` are the squares of all that 1 / A still gives from its state z on."""
     order = len(coefficients) - 1

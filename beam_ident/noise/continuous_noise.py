@@ -244,83 +244,104 @@ def continuous_noise(
     if doubt is not None:
         every = np.concatenate([residuals[:, None], doubt], axis=1)
     every, times_s = _thinned(every, times_s)
-    residuals = every[:, 0]
-    if Whiteness.of(residuals).p_value > _ENOUGH:
+    if Whiteness.of(every[:, 0]).p_value > _ENOUGH:
         return None
-    n = len(residuals)
-    period = float(np.median(np.diff(times_s)))
-    length = float(times_s[-1] - times_s[0])
-    highest = _BELOW_NYQUIST * math.pi / period
+    choice = _Choice(every, times_s)
+    return choice.among_forms(max_order) if near is None else choice.near(near)
 
-    def cost(noise: ContinuousNoise) -> float:
-        try:
-            whitening = ContinuousWhitening(noise, times_s)
-        except (LinAlgError, ValueError):
-            return _IMPOSSIBLE
-        found = 0.5 * n * math.log(max(float(np.sum(np.square(whitening.apply(every)))), 1e-300))
+
+class _Choice:
+    """The choice of a process by BIC, among forms of rising freedom.
+
+    Parameters
+    ----------
+    every : ndarray, shape (n, 1 + n_parameters) -- residuals, and what they are not known by
+    times_s : ndarray, shape (n,)
+    """
+
+    def __init__(self, every: FloatArray, times_s: FloatArray) -> None:
+        self.every, self.times_s = every, times_s
+        self.period, self.length = float(np.median(np.diff(times_s))), float(times_s[-1] - times_s[0])
+        self.highest = _BELOW_NYQUIST * math.pi / self.period
+        self.best: ContinuousNoise | None = None
+        self.least = 2.0 * self._half_log_power(every)
+
+    def _half_log_power(self, rows: FloatArray) -> float:
+        found = 0.5 * len(rows) * math.log(max(float(np.sum(np.square(rows))), 1e-300))
         return found if math.isfinite(found) else _IMPOSSIBLE
 
-    plain = 0.5 * n * math.log(max(float(np.sum(np.square(every))), 1e-300))
-    best: tuple[float, ContinuousNoise | None] = (2.0 * plain, None)
+    def _cost(self, noise: ContinuousNoise) -> float:
+        try:
+            return self._half_log_power(ContinuousWhitening(noise, self.times_s).apply(self.every))
+        except (LinAlgError, ValueError):
+            return _IMPOSSIBLE
 
-    def offer(form: Callable[[FloatArray], ContinuousNoise], starts: list[list[float]]) -> ContinuousNoise:
-        nonlocal best
-        tried = [(cost(form(np.array(start))), start) for start in starts]
-        start = np.array(min(tried)[1])
+    def offer(
+        self, form: Callable[[FloatArray], ContinuousNoise], starts: list[list[float]]
+    ) -> ContinuousNoise:
+        """Return the likeliest process of a form, from the best of some starts; keep it where BIC prefers it."""
+        start = np.array(min((self._cost(form(np.array(own))), own) for own in starts)[1])
         simplex = np.vstack([start, *(start + 0.7 * row for row in np.eye(len(start)))])
         options = {"initial_simplex": simplex, "xatol": 0.02, "fatol": 0.05, "maxfev": 60 * len(start)}
-        found = minimize(lambda p: cost(form(p)), start, method="Nelder-Mead", options=options)
+        found = minimize(lambda p: self._cost(form(p)), start, method="Nelder-Mead", options=options)
         noise = form(found.x)
-        criterion = 2.0 * float(found.fun) + noise.n_parameters * math.log(n)
-        if criterion < best[0]:
-            best = criterion, noise
+        criterion = 2.0 * float(found.fun) + noise.n_parameters * math.log(len(self.every))
+        if criterion < self.least:
+            self.least, self.best = criterion, noise
         return noise
 
-    def is_enough() -> bool:
-        white = residuals if best[1] is None else ContinuousWhitening(best[1], times_s).apply(residuals)
+    @property
+    def is_enough(self) -> bool:
+        """Whether the best process so far leaves white noise."""
+        left = self.every[:, 0]
+        white = left if self.best is None else ContinuousWhitening(self.best, self.times_s).apply(left)
         return Whiteness.of(white).p_value > _ENOUGH
 
+    @staticmethod
     def first_order(p: FloatArray) -> ContinuousNoise:
+        """Return an Ornstein-Uhlenbeck process, with white noise beside it where two numbers are given."""
         return ContinuousNoise(_exp(p[0]), white=_share(p[1]) if len(p) > 1 else 0.0)
 
-    def second_order(p: FloatArray) -> ContinuousNoise:
+    def second_order(self, p: FloatArray) -> ContinuousNoise:
+        """Return a process from a pair at the Nyquist frequency to two real time constants far apart."""
         decay = _exp(p[0])
-        # From a pair at the Nyquist frequency to two real time constants far apart.
-        share = _share(p[1])
-        split = share * (decay**2 + highest**2) * 0.999 - highest**2
-        return ContinuousNoise(
-            decay, split, decay * math.tanh(p[2]), white=_share(p[3]) if len(p) > 3 else 0.0
-        )
+        split = _share(p[1]) * (decay**2 + self.highest**2) * 0.999 - self.highest**2
+        white = _share(p[3]) if len(p) > 3 else 0.0
+        return ContinuousNoise(decay, split, decay * math.tanh(p[2]), white=white)
 
-    if near is not None:
-        beside = [_logit((near.white - _MIN_WHITE) / (_MAX_WHITE - _MIN_WHITE))] * (near.white > 0.0)
-        start = [math.log(near.decay)]
-        if near.split is None:
-            offer(first_order, [[*start, *beside]])
+    def near(self, known: ContinuousNoise) -> ContinuousNoise | None:
+        """Return the best process of the form of another one, near it."""
+        beside = [_logit((known.white - _MIN_WHITE) / (_MAX_WHITE - _MIN_WHITE))] * (known.white > 0.0)
+        start = [math.log(known.decay)]
+        if known.split is None:
+            self.offer(self.first_order, [[*start, *beside]])
         else:
-            share = _logit((near.split + highest**2) / (0.999 * (near.decay**2 + highest**2)))
-            slope = math.atanh(min(max(near.slope / near.decay, -_STEEPEST), _STEEPEST))
-            offer(second_order, [[*start, share, slope, *beside]])
-        return best[1]
-    decays = [math.log(decay) for decay in np.geomspace(3.0 / length, 3.0 / period, _TIMES)]
-    alone = offer(first_order, [[p] for p in decays])
-    if is_enough():
-        return best[1]
-    slow = math.log(alone.decay) - 1.0
-    offer(first_order, [[slow, 0.0], [slow + 1.0, -3.0], [slow, 2.0]])
-    if max_order == 1 or is_enough():
-        return best[1]
-    places = []
-    for decay in (slow + 1.5, slow - 1.0):
-        size = _exp(decay)
-        # Two real time constants, a double one, and resonances over the band; d^2 of each as a share of its range.
-        for split in (0.5 * size**2, *(-(np.geomspace(2.0 * math.pi / length, 0.95 * highest, 7) ** 2))):
-            places.append([decay, _logit((split + highest**2) / (size**2 + highest**2))])
-    offer(second_order, [[*place, 0.0] for place in places])
-    if is_enough():
-        return best[1]
-    offer(second_order, [[*place, 0.0, w] for place in places for w in (-1.5, 0.5)])
-    return best[1]
+            share = _logit((known.split + self.highest**2) / (0.999 * (known.decay**2 + self.highest**2)))
+            slope = math.atanh(min(max(known.slope / known.decay, -_STEEPEST), _STEEPEST))
+            self.offer(self.second_order, [[*start, share, slope, *beside]])
+        return self.best
+
+    def among_forms(self, max_order: int) -> ContinuousNoise | None:
+        """Return the first process that leaves white noise, or the best of all."""
+        decays = np.log(np.geomspace(3.0 / self.length, 3.0 / self.period, _TIMES)).tolist()
+        alone = self.offer(self.first_order, [[decay] for decay in decays])
+        if self.is_enough:
+            return self.best
+        slow = math.log(alone.decay) - 1.0
+        self.offer(self.first_order, [[slow, 0.0], [slow + 1.0, -3.0], [slow, 2.0]])
+        if max_order == 1 or self.is_enough:
+            return self.best
+        places = []
+        for decay in (slow + 1.5, slow - 1.0):
+            size = _exp(decay)
+            # Two real time constants, a double one, resonances over the band; d^2 of each as a share of its range.
+            resonances = -(np.geomspace(2.0 * math.pi / self.length, 0.95 * self.highest, 7) ** 2)
+            for split in (0.5 * size**2, *resonances):
+                places.append([decay, _logit((split + self.highest**2) / (size**2 + self.highest**2))])
+        self.offer(self.second_order, [[*place, 0.0] for place in places])
+        if not self.is_enough:
+            self.offer(self.second_order, [[*place, 0.0, w] for place in places for w in (-1.5, 0.5)])
+        return self.best
 
 
 def _thinned(every: FloatArray, times_s: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -82,11 +82,10 @@ def minimise(
     fallen, idle = math.inf, 0
     for iteration in range(1, max_iterations + 1):
         information, direction = problem.slope(state)
-        if state.cost - _HOPE * fallen > target:
-            # g^T H^-1 g / 2: what the quadratic approximation can still lower the cost by.
-            promised = 0.5 * float(direction @ scaled_solve(information, direction, 0.0))
-            if state.cost - _HOPE * promised > target:
-                return Minimum(state, False, HOPELESS, iteration)
+        if state.cost - _HOPE * fallen > target and (
+            state.cost - _HOPE * _promised(information, direction) > target
+        ):
+            return Minimum(state, False, HOPELESS, iteration)
         fallen, hindrance = -1.0, 0.0
         for _ in range(_TRIALS):
             # H + damping on unit diagonal (Marquardt): short steps along the gradient where the model is not
@@ -116,12 +115,15 @@ def minimise(
         # Where an instant stands at a jump of a held input, the cost jumps as well: only shorter and shorter steps
         # towards it are possible, while all else has settled.
         idle = idle + 1 if fallen < _IDLE and hindrance >= 1.0 else 0
-        if idle == _IDLE_TURNS:
-            information, direction = problem.slope(state)
-            if 0.5 * float(direction @ scaled_solve(information, direction, 0.0)) < _AT_A_JUMP:
-                reason = "the cost jumps here, less than a standard deviation from its optimum"
-                return Minimum(state, True, reason, iteration)
+        if idle == _IDLE_TURNS and _promised(*problem.slope(state)) < _AT_A_JUMP:
+            reason = "the cost jumps here, less than a standard deviation from its optimum"
+            return Minimum(state, True, reason, iteration)
     return Minimum(state, False, f"stopped after {max_iterations} iterations", max_iterations)
+
+
+def _promised(information: FloatArray, direction: FloatArray) -> float:
+    """Return what the quadratic approximation can still lower the cost by: g^T H^-1 g / 2."""
+    return 0.5 * float(direction @ scaled_solve(information, direction, 0.0))
 
 
 def _led_to(

@@ -51,15 +51,19 @@ def full_roots(upper: ComplexArray) -> ComplexArray:
     return np.concatenate([upper, np.conj(upper[upper.imag > 0.0])])
 
 
-class _Fractions:
+class PartialFractions:
     """Partial fractions of a denominator whose poles keep apart.
 
     Responses are rows of real numbers: ``rows`` holds the real and (negative) imaginary
     parts of the poles' responses, then of their derivatives by the pole.
+
+    Parameters
+    ----------
+    upper, full : ndarray -- poles with imaginary part >= 0, and all of them in the order of ``full_roots``
     """
 
     def __init__(self, upper: ComplexArray, full: ComplexArray) -> None:
-        self.upper = upper
+        self.upper, self.full = upper, full
         gaps = upper[:, None] - full[None, :]
         gaps[np.arange(len(upper)), np.arange(len(upper))] = 1.0
         self.slope = np.prod(gaps, axis=1)  # Q(p) with A = (s - p) Q
@@ -157,14 +161,14 @@ class RationalResponse:
         self._signals = (drive, integral, instants)
         if isinstance(self._form, _Chain):
             states = chain_response(self._form.chain, scale, drive, integral, instants)
-            self._rows = _Fractions.rows([states])
+            self._rows = PartialFractions.rows([states])
             return
         sampled = PoleResponses(upper * scale, drive, gradients=squares).sample(instants)
         # s is in units of the scale: 1/(s/w - p) = w/(s - w p), and its derivative by p takes w once more.
         parts = [scale * sampled.values]
         if sampled.pole_slopes is not None:
             parts.append(scale**2 * sampled.pole_slopes)
-        self._rows = _Fractions.rows(parts)
+        self._rows = PartialFractions.rows(parts)
 
     @classmethod
     def to_impulse(
@@ -191,7 +195,7 @@ class RationalResponse:
                 states = states[:, len(elapsed) :] - states[:, : len(elapsed)]
             else:
                 states = chain_impulse_response(chain, scale, elapsed)
-            response._rows = _Fractions.rows([states])
+            response._rows = PartialFractions.rows([states])
             return response
         values: ComplexArray = np.exp(upper[:, None] * (scale * elapsed))
         slopes: ComplexArray = scale * elapsed * values
@@ -207,7 +211,7 @@ class RationalResponse:
                 bend = np.where(near, z / 3.0 + z**3 / 30.0, (np.cosh(safe) - np.sinh(safe) / safe) / safe)
                 slopes = slopes * box + half * scale * bend * values
                 values = values * box
-        response._rows = _Fractions.rows([values, slopes] if squares else [values])
+        response._rows = PartialFractions.rows([values, slopes] if squares else [values])
         return response
 
     def _prepare(self, upper: ComplexArray, scale: float, squares: bool) -> None:
@@ -216,7 +220,9 @@ class RationalResponse:
         self.order = len(full)
         self._denominator = np.atleast_1d(np.real(np.poly(full)))
         apart = poles_keep_apart(full)
-        self._form: _Fractions | _Chain = _Fractions(upper, full) if apart else _Chain(full, squares)
+        self._form: PartialFractions | _Chain = (
+            PartialFractions(upper, full) if apart else _Chain(full, squares)
+        )
         self._direct: list[FloatArray] = []
 
     @property

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -127,7 +128,7 @@ def comparison_page(
     page = Page(title, _lead(trials, found))
     page.section("Poles")
     page.figure(
-        figures.pole_figure({trial.name: trial.model.modes() for trial in trials}),
+        partial(figures.pole_figure, {trial.name: trial.model.modes() for trial in trials}),
         "Damping ratio over natural frequency of every model, with the 95 % intervals that each states of itself.",
         f"modes of {len(trials)} models by frequency and damping",
         "modes",
@@ -223,7 +224,7 @@ def _add_responses(page: Page, trials: Sequence[Trial]) -> None:
     for name in dict.fromkeys(curve.output_name for curve in curves):
         own = [curve for curve in curves if curve.output_name == name]
         page.figure(
-            figures.frequency_response_figure(own),
+            partial(figures.frequency_response_figure, own),
             f"Response of {name} in every model that has it, with 95 % bands where they are known. Where the bands "
             "part, the models contradict each other.",
             f"responses of {name} of {len({curve.label for curve in own})} models over each other",

@@ -1,7 +1,8 @@
 """The report of an identification: one self-contained HTML page that a laboratory puts its name to.
 
-It begins with the verdict, goes on with the data, the modes and their uncertainty, the model and what supports it,
-and ends with where everything came from.  Every caption says what is shown and where not to trust it.
+It begins with a sheet to sign: verdict, modes, fit, response, validation, assumptions.  Behind it stands the
+evidence: budgets, data, model, residuals, theory, and where everything came from.  Every caption says what is shown
+and where not to trust it.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ import csv
 import io
 import math
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -25,11 +27,14 @@ from beam_ident.figures.identification import Fitted
 from beam_ident.modal.identification_result import FrequencyDomainResult, IdentificationResult
 from beam_ident.report.equation import add_equation
 from beam_ident.report.evidence import (
+    Agreement,
+    Budget,
     ErrorSources,
     ModeRow,
     Theory,
     Trial,
     Unseen,
+    beside_theory,
     fitted_outputs,
     mode_rows,
 )
@@ -38,12 +43,13 @@ from beam_ident.report.measurement import (
     add_best_linear,
     add_frequency_domain,
     add_records,
+    add_response,
     add_stabilisation,
 )
-from beam_ident.report.modes import add_modes, add_poles, add_shapes, add_theory
-from beam_ident.report.page import Page
-from beam_ident.report.quantities import nearest_mode
-from beam_ident.report.validation import add_trials, add_validation
+from beam_ident.report.modes import add_budgets, add_modes, add_poles, add_shapes, add_theory
+from beam_ident.report.page import Cell, Drawn, Page
+from beam_ident.report.quantities import nearest_mode, r_squared, sentence
+from beam_ident.report.validation import add_predictions, add_trials, add_validation
 from beam_ident.report.verdict import add_gates, add_verdict, judge
 from beam_ident.results import LineResult, Result, models_of
 
@@ -85,6 +91,9 @@ def identification_page(
     linearity: Linearity | None = None,
     axis: AxisResult | None = None,
     links: Sequence[tuple[str, str]] = (),
+    simulated: str = "",
+    operator: str = "",
+    drawn: Drawn = "all",
 ) -> Page:
     """Build the report of an identification.
 
@@ -108,6 +117,9 @@ def identification_page(
     linearity : Linearity, optional -- whether one pole describes each mode
     axis : AxisResult, optional -- mass and friction of the axis
     links : sequence of (text, address) -- files beside the page
+    simulated : str -- what stands under the title where the data are simulated; empty where they were measured
+    operator : str -- who answers for the data
+    drawn : "none", "sheet" or "all" -- which figures are drawn: those of the sheet to sign, or of the evidence too
 
     Returns
     -------
@@ -116,31 +128,47 @@ def identification_page(
     records = [record] if isinstance(record, TimeRecord) else list(record)
     known = ErrorSources() if sources is None else sources
     models = models_of(result)
-    modes = mode_rows(models)
+    modes = mode_rows(models, known)
+    agreement = None if theory is None else beside_theory(modes, theory)
     doubts = result.doubts if isinstance(result, IdentificationResult) else ()
-    page = Page(title, _lead(records, result, modes))
-    verdict = judge(result, gates, validation)
+    page = Page(title, _lead(records, result, modes), simulated, drawn)
+    longest = max(records, key=lambda one: one.outputs[0].times_s[-1] - one.outputs[0].times_s[0])
+    shown = busiest_stretch(longest)
+    outputs = fitted_outputs(result, records[0])
     page.section("Verdict")
-    add_verdict(page, verdict)
-    for text, address in links:
-        page.link(text, address)
+    add_verdict(page, judge(result, gates, validation, agreement))
     page.section("Modes")
     if modes:
-        add_modes(page, modes, known, doubts)
+        add_modes(page, modes, doubts)
     else:
         page.paragraph("The outputs follow a rigid body, and no mode stands out of the noise.")
-    add_poles(page, models, modes, _reference(reference_modes, theory, modes))
-    for model in models:
-        add_shapes(page, model, theory, known)
-    if linearity is not None or curves is not None:
-        page.section("Over amplitude")
-    if linearity is not None:
-        _add_linearity(page, linearity)
+    _add_fit(page, result, outputs)
+    add_response(page, shown, models, modes)
+    page.section("Validation")
+    add_validation(page, validation)
+    # What was asked for by itself stands on the sheet.
     if curves is not None:
+        page.section("Over amplitude")
         _add_curves(page, curves, modes, theory)
     if axis is not None:
         page.section("Axis")
         _add_axis(page, axis)
+    if best_linear is not None:
+        page.section("Noise and distortion")
+        add_best_linear(page, best_linear)
+    page.section("Assumptions")
+    _add_assumptions(page, result, outputs, validation, agreement, linearity)
+    if linearity is not None and not linearity.is_linear:
+        _add_linearity(page, linearity)
+    page.signature(operator)
+    for text, address in links:
+        page.link(text, address)
+    page.evidence()
+    page.section("Modes and shapes")
+    add_budgets(page, modes)
+    add_poles(page, models, modes, _reference(reference_modes, theory, modes), known)
+    for model in models:
+        add_shapes(page, model, theory, known)
     page.section("Data quality")
     if gates:
         add_gates(page, gates)
@@ -149,30 +177,27 @@ def identification_page(
     add_records(page, records)
     page.section("Model")
     add_equation(page, models, records[0])
-    outputs = fitted_outputs(result, records[0])
-    page.section("Fit")
-    _add_fit(page, result, outputs, modes)
-    page.section("Frequency response")
-    longest = max(records, key=lambda one: one.outputs[0].times_s[-1] - one.outputs[0].times_s[0])
-    shown = busiest_stretch(longest)
-    if shown is not longest:
-        begin, end = shown.outputs[0].times_s[[0, -1]]
-        page.paragraph(
-            f"The record is long: frequency responses and stabilisation are those of {begin:.0f} to {end:.0f} s, "
-            "where its input moves most. The fit is that of all of it."
-        )
-    add_frequency_domain(page, shown, models, modes)
-    if best_linear is not None:
-        page.section("Noise and distortion")
-        add_best_linear(page, best_linear)
+    page.section("Residuals")
+    _add_residuals(page, outputs, modes)
+    if page.draws:
+        page.section("Frequency response")
+        if shown is not longest:
+            begin, end = shown.outputs[0].times_s[[0, -1]]
+            page.paragraph(
+                f"The record is long: frequency responses and stabilisation are those of {begin:.0f} to {end:.0f} s, "
+                "where its input moves most. The fit is that of all of it."
+            )
+        add_frequency_domain(page, shown, models, modes)
     page.section("Order")
     _add_orders(page, result)
-    add_stabilisation(page, shown, models, modes)
-    if theory is not None and modes:
+    if page.draws:
+        add_stabilisation(page, shown, models, modes)
+    if theory is not None and agreement is not None and modes:
         page.section("Theory")
-        add_theory(page, modes, theory, known)
-    page.section("Validation")
-    add_validation(page, validation)
+        add_theory(page, modes, theory, agreement)
+    if validation and page.draws:
+        page.section("Predictions")
+        add_predictions(page, validation)
     if len(trials) > 1:
         page.section("Linearity and repeatability")
         add_trials(page, trials)
@@ -180,18 +205,62 @@ def identification_page(
     return page
 
 
-def _sentence(said: str) -> str:
-    """Return a verdict with a capital and a full stop."""
-    return f"{said[0].upper()}{said[1:]}."
+def _add_assumptions(
+    page: Page,
+    result: Result,
+    outputs: Fitted,
+    validation: Sequence[Unseen],
+    agreement: Agreement | None,
+    found: Linearity | None,
+) -> None:
+    """Add what the numbers rest on, each with the test of it, so that no untested assumption looks tested."""
+    unseen = [o for one in validation for own in one.results for o in own.outputs]
+    coloured = [o.name for o in outputs if not o.whiteness.is_white]
+    following = [o.name for o in unseen if not o.input_correlation.is_independent]
+    rows: list[tuple[str, str, bool | None]] = [
+        (
+            "the noise is as it was modelled",
+            f"residuals of {', '.join(coloured) or 'no output'} are not white"
+            if outputs
+            else "no residuals in time",
+            not coloured if outputs else None,
+        ),
+        (
+            "the model holds for other data",
+            f"{len(unseen) - len(following)} of {len(unseen)} residuals of unseen data are free of the input"
+            if unseen
+            else "no unseen data",
+            not following if unseen else None,
+        ),
+        (
+            "the structure is linear",
+            "no test of it was made" if found is None else found.verdict,
+            None if found is None else found.is_linear,
+        ),
+        (
+            "the structure is that of theory",
+            "there is no theory" if agreement is None else agreement.verdict,
+            None
+            if agreement is None or not np.isfinite(agreement.chi_squared)
+            else not agreement.is_doubtful,
+        ),
+    ]
+    verdicts: dict[bool | None, Cell] = {
+        True: Cell("holds", "good"),
+        False: Cell("doubtful", "doubt"),
+        None: Cell("not tested", "doubt"),
+    }
+    page.table(
+        ["assumption", "verdict", "test"],
+        [[assumed, verdicts[held], sentence(test)] for assumed, test, held in rows],
+        "What the numbers above rest on.",
+    )
 
 
 def _add_linearity(page: Page, found: Linearity) -> None:
-    """Write whether one pole describes each mode, and how much it changes where it does not."""
-    if found.is_linear:
-        page.paragraph(_sentence(found.verdict))
-        return
+    """Write which modes one pole does not describe, and how much they change."""
     page.warning(
-        _sentence(found.verdict),
+        sentence(found.verdict),
         "State frequency and damping with their amplitude, or ask for the curves (--amplitude).",
         tone="doubt",
     )
@@ -204,7 +273,7 @@ def _add_curves(
     page: Page, curves: AmplitudeCurves, modes: Sequence[ModeRow], theory: Theory | None = None
 ) -> None:
     """Write how frequency and damping change with amplitude."""
-    page.paragraph(_sentence(curves.verdict))
+    page.paragraph(sentence(curves.verdict))
     if not curves.is_one_pole:
         page.warning(
             "A frequency and a damping ratio of this mode hold at one amplitude only.",
@@ -223,7 +292,7 @@ def _add_curves(
         law = theory.over_amplitude(curves.output_name, middle, curves.amplitudes)
     of_theory = " Dotted: what the rig's drag, large deflections and linear damping predict." if law else ""
     page.figure(
-        figures.amplitude_figure(curves, pole, law),
+        partial(figures.amplitude_figure, curves, pole, law),
         "Frequency and damping ratio of the free decays over their amplitude; with 95 % the bands hold the whole of "
         f"each curve. Dashed: the single pole of the identification.{of_theory}",
         f"Two curves over amplitude with bands: {curves.verdict}",
@@ -247,10 +316,10 @@ def _add_axis(page: Page, axis: AxisResult) -> None:
         "known force, friction is taken to be equal in both directions.",
     )
     if axis.drive_verdict:
-        page.paragraph(_sentence(axis.drive_verdict))
-    page.paragraph(_sentence(axis.check.verdict))
+        page.paragraph(sentence(axis.drive_verdict))
+    page.paragraph(sentence(axis.check.verdict))
     for warning in axis.warnings:
-        page.warning(_sentence(warning), tone="doubt")
+        page.warning(sentence(warning), tone="doubt")
 
 
 def poles_table(modes: Sequence[ModeRow]) -> str:
@@ -260,14 +329,15 @@ def poles_table(modes: Sequence[ModeRow]) -> str:
     writer.writerow(
         [
             "output", "mode", "frequency_hz", "frequency_sd_hz", "damping_ratio", "damping_ratio_sd",
-            "pole_real_rad_s", "pole_imaginary_rad_s",
+            "pole_real_rad_s", "pole_imaginary_rad_s", *(f"frequency_sd_{part}_hz" for part in Budget._fields),
         ]
     )  # fmt: skip
     for mode in modes:
         pole = complex(mode.omega * (-mode.zeta + np.emath.sqrt(mode.zeta**2 - 1.0)))
         numbers = (mode.omega / (2.0 * np.pi), mode.omega_sd / (2.0 * np.pi), mode.zeta, mode.zeta_sd)
+        parts = ("" if np.isnan(part) else repr(part / (2.0 * np.pi)) for part in mode.of_omega)
         writer.writerow(
-            [mode.output, mode.number, *map(repr, numbers), repr(pole.real), repr(abs(pole.imag))]
+            [mode.output, mode.number, *map(repr, numbers), repr(pole.real), repr(abs(pole.imag)), *parts]
         )
     return stream.getvalue()
 
@@ -295,7 +365,7 @@ def _reference(
     return [(f"mode {k}", float(w), float(z)) for k, (w, z) in enumerate(pairs, 1) if w < highest]
 
 
-def _add_fit(page: Page, result: Result, outputs: Fitted, modes: Sequence[ModeRow]) -> None:
+def _add_fit(page: Page, result: Result, outputs: Fitted) -> None:
     if isinstance(result, LineResult):
         ratio = result.misfit.chi_squared / result.misfit.expected
         page.paragraph(
@@ -321,9 +391,9 @@ def _add_fit(page: Page, result: Result, outputs: Fitted, modes: Sequence[ModeRo
                 o.name,
                 str(len(o.times_s)),
                 f"{o.scores.fit_percent:.3f}",
-                f"{o.scores.r_squared:.7f}",
+                r_squared(o.scores.r_squared),
                 f"{o.deflection_scores.fit_percent:.3f}" if is_modal else "–",
-                f"{o.deflection_scores.r_squared:.6f}" if is_modal else "–",
+                r_squared(o.deflection_scores.r_squared) if is_modal else "–",
                 f"{o.noise_sd:.3g} {o.unit}",
                 "white" if o.whiteness.is_white else "not white",
             ]
@@ -332,18 +402,25 @@ def _add_fit(page: Page, result: Result, outputs: Fitted, modes: Sequence[ModeRo
         "How the model reproduces the data that it was fitted to. The deflection is the output less its direct part, "
         "offset and drift: the sterner score where an output is mostly its input.",
     )
-    for o in outputs:
-        page.paragraph(f"{o.name}: {o.whiteness.verdict}.")
     page.figure(
-        figures.fit_figure(outputs),
+        partial(figures.fit_figure, outputs),
         "Measured and modelled outputs"
         + (", less direct part, offset and drift" if is_modal else ", less their mean")
         + ". A good agreement here is of the same data that the model was fitted to; only other data validate it.",
         f"measurement and model of {', '.join(o.name for o in outputs)} over time",
         "fit",
     )
+
+
+def _add_residuals(page: Page, outputs: Fitted, modes: Sequence[ModeRow]) -> None:
+    """Add what the model leaves over of the data that it was fitted to."""
+    if not outputs:
+        page.paragraph("The estimator leaves no residuals in time.")
+        return
+    for o in outputs:
+        page.paragraph(f"{o.name}: {o.whiteness.verdict}.")
     page.figure(
-        figures.spectrum_figure(outputs, np.array([mode.omega for mode in modes]) / (2.0 * np.pi)),
+        partial(figures.spectrum_figure, outputs, np.array([mode.omega for mode in modes]) / (2.0 * np.pi)),
         "Spectra of the outputs and of what the model leaves over. Numbers mark the modes; a dotted line is a mode "
         "above half the outputs' rate, drawn at its alias. A peak in the residual means a mode or a disturbance that "
         "is not in the model. Where stamps are irregular the frequency axis is approximate.",
@@ -351,7 +428,7 @@ def _add_fit(page: Page, result: Result, outputs: Fitted, modes: Sequence[ModeRo
         "spectra",
     )
     page.figure(
-        figures.residual_figure(outputs),
+        partial(figures.residual_figure, outputs),
         "Residuals and their autocorrelation. Of white residuals one lag in a hundred leaves the band by chance; "
         "more means coloured noise, which the stated intervals count, or dynamics that the model has not, which they "
         "do not count. Whiteness does not prove the model right: noise on the input leaves white residuals too.",
@@ -377,10 +454,10 @@ def _add_orders(page: Page, result: Result) -> None:
                 str(e.n_parameters),
                 f"{e.bic - least_bic[e.weighed_by]:.1f}",
                 f"{e.aic - least_aic[e.weighed_by]:.1f}",
-                f"{e.r_squared:.6f}",
+                r_squared(e.r_squared),
                 f"{e.worst_fit_percent:.2f}",
                 f"{e.condition:.3g}",
-                ("chosen" if e.is_chosen else (e.refused_because or "passed"))
+                ("chosen" if e.is_chosen else (e.refused_because or "passed, with a higher BIC"))
                 + (f" (weighed by: {e.weighed_by})" if e.weighed_by else ""),
             ]
             for e in entries

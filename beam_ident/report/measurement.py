@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -23,10 +24,9 @@ from beam_ident.modal_analysis.stabilisation import ResponseForm, stabilisation_
 from beam_ident.report.evidence import ModeRow
 from beam_ident.report.page import Page
 from beam_ident.responses.local_polynomial import local_polynomial_response
-from beam_ident.responses.spectral import welch_response
 from beam_ident.transfer_function.model import TransferFunctionModel
 
-_MAX_DRAWN_LINES = 400
+_MAX_DRAWN_LINES = 240
 _MAX_CHART_LINES = 4000  # of a long record the chart takes the band about the modes
 _SLACK = 0.02  # of a period: stamps that lie closer to a grid are taken to be on it
 _FORMS: dict[int, ResponseForm] = {0: "receptance", 1: "mobility", 2: "accelerance"}
@@ -37,7 +37,7 @@ def add_records(page: Page, records: Sequence[TimeRecord]) -> None:
     for number, record in enumerate(records, 1):
         name = f"record-{number}" if len(records) > 1 else "record"
         page.figure(
-            figures.time_figure(record),
+            partial(figures.time_figure, record),
             f"What was measured in {record.name}. Where samples are missing the line is broken and, for the longest "
             "gaps, shaded. Of long records the least and the greatest value of every stretch are drawn.",
             f"{len(record.inputs)} input and {len(record.outputs)} outputs of {record.name} over time",
@@ -81,25 +81,33 @@ def _signal_rows(record: TimeRecord, is_named: bool) -> list[list[str]]:
 def add_frequency_domain(
     page: Page, record: TimeRecord, models: Sequence[Any], modes: Sequence[ModeRow]
 ) -> None:
-    """Add spectrum, coherence, and the measured response under the model's with its 95 % bands."""
+    """Add the spectrum of the input, and the model's response over the whole band of its modes."""
     page.figure(
-        figures.input_spectrum_figure(record),
+        partial(figures.input_spectrum_figure, record),
         "Spectrum of the input: what it excites. A mode outside the excited band is seen only as far as it rings "
         "from the beginning on.",
         "amplitude density of the input over frequency",
         "input-spectrum",
     )
+    low, high = _band(record, modes)
+    lines = drawing_lines(tuple(models), 2.0 * np.pi * low, 2.0 * np.pi * max(high, 1.2 * _highest_hz(modes)))
+    curves = [curve for model in models for curve in response_curves(model, lines)]
+    if curves:
+        page.figure(
+            partial(figures.frequency_response_figure, curves),
+            "The model's response over the whole band of its modes, with 95 % bands where they are known. Beyond the "
+            "excited band it is an extrapolation: the bands take the structure of the model to be right there.",
+            "magnitude and phase of the model's response, with bands",
+            "model-response",
+        )
+
+
+def add_response(page: Page, record: TimeRecord, models: Sequence[Any], modes: Sequence[ModeRow]) -> None:
+    """Add the measured response under the model's with its 95 % bands."""
+    if not page.draws:
+        return
     latency = models[0].latency if isinstance(models[0], ModalModel) else 0.0
     responses, why = _measured(record, latency)
-    coherent = _coherent(record, latency)
-    if coherent:
-        page.figure(
-            figures.coherence_figure(coherent),
-            "Response from averaged spectra (H1) with its coherence. Near 1 the output follows the input; it falls "
-            "with noise, with what is not linear, and, at lightly damped modes in short records, with leakage alone.",
-            "magnitude, phase and coherence of the measured response",
-            "coherence",
-        )
     low, high = _band(record, modes)
     drawable = [model for model in models if isinstance(model, ModalModel | TransferFunctionModel)]
     if responses and drawable and not getattr(models[0], "further_inputs", ()):
@@ -109,7 +117,7 @@ def add_frequency_domain(
             mine = [one for one in shown if one.output_names[0] in own]
             if mine:
                 page.figure(
-                    figures.response_over_model_figure(mine, model),
+                    partial(figures.response_over_model_figure, mine, model),
                     "Points: the response measured by local polynomials, without a model. Lines: the model with its "
                     "95 % bands. Points about a resonance that is narrower than the record can resolve lie below the "
                     "line; beyond half the rate of the outputs nothing is measured.",
@@ -119,16 +127,6 @@ def add_frequency_domain(
     else:
         reason = why or "the model has several inputs, or states no response"
         page.paragraph(f"There is no measured response to compare with: {reason}.")
-    lines = drawing_lines(tuple(models), 2.0 * np.pi * low, 2.0 * np.pi * max(high, 1.2 * _highest_hz(modes)))
-    curves = [curve for model in models for curve in response_curves(model, lines)]
-    if curves:
-        page.figure(
-            figures.frequency_response_figure(curves),
-            "The model's response over the whole band of its modes, with 95 % bands where they are known. Beyond the "
-            "excited band it is an extrapolation: the bands take the structure of the model to be right there.",
-            "magnitude and phase of the model's response, with bands",
-            "model-response",
-        )
 
 
 def add_best_linear(page: Page, found: BestLinearApproximation) -> None:
@@ -143,7 +141,7 @@ def add_best_linear(page: Page, found: BestLinearApproximation) -> None:
         f"{found.skipped_periods} at the beginning of each were left out, while it settled."
     )
     page.figure(
-        figures.best_linear_figure(found),
+        partial(figures.best_linear_figure, found),
         "The response that all realisations have in common, and by what deviations one realisation differs from it: "
         "noise, as the periods show it, and nonlinear distortion, which repeats with the period and is another one "
         "with other phases. Where it stands above the noise, more periods of the same signal make the response no "
@@ -215,7 +213,7 @@ def add_stabilisation(
         page.paragraph(f"There is no stabilisation chart: {err}.")
         return
     page.figure(
-        figures.stabilisation_figure(chart),
+        partial(figures.stabilisation_figure, chart),
         "Poles of polynomial models of rising order, fitted to the measured response without the model of this "
         "report. A mode of the structure stays where it is from order to order; what wanders is noise. Modes that "
         "the record does not resolve, or that lie above half the rate of the outputs, do not settle here.",
@@ -249,18 +247,6 @@ def _measured(record: TimeRecord, latency: float) -> tuple[list[FrequencyRecord]
             why = str(err)
     same = [one for one in found if np.array_equal(one.omegas, found[0].omegas)]
     return same, why
-
-
-def _coherent(record: TimeRecord, latency: float) -> list[FrequencyRecord]:
-    """Return the averaged responses; none where the stamps do not allow it."""
-    found = []
-    for output in record.outputs:
-        try:
-            one = TimeRecord(record.inputs[:1], (_on_grid(output, latency),), record.start_ns, record.name)
-            found.append(welch_response(one))
-        except EstimationError:
-            continue
-    return found
 
 
 def _on_grid(output: OutputSignal, latency: float) -> OutputSignal:

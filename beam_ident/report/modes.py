@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -11,69 +12,27 @@ from beam_ident import figures
 from beam_ident.arrays import FloatArray
 from beam_ident.figures.response_curves import response_curves
 from beam_ident.modal.model import ModalModel
-from beam_ident.report.evidence import ErrorSources, ModeRow, Theory
+from beam_ident.report.evidence import Agreement, ErrorSources, ModeRow, Theory
 from beam_ident.report.page import Page
-from beam_ident.report.quantities import decimals, interval, nearest_mode, small, with_uncertainty
+from beam_ident.report.quantities import (
+    decimals,
+    interval,
+    nearest_mode,
+    sentence,
+    signed,
+    small,
+    with_uncertainty,
+)
 from beam_ident.transfer_function.model import TransferFunctionModel
 
 _TURN = 2.0 * np.pi
 
 
-class Budget(NamedTuple):
-    """Standard uncertainties of one number, source by source; they add up in squares.
-
-    Attributes
-    ----------
-    statistics : float -- from the scatter of the samples
-    clock : float -- from what the fit does not know of the rate of one clock against the other
-    time_base : float -- from the clock that all stamps rest on
-    temperature : float -- NaN where nothing is said of it
-    """
-
-    statistics: float
-    clock: float
-    time_base: float = 0.0
-    temperature: float = np.nan
-
-    @property
-    def together(self) -> float:
-        """Combined standard uncertainty."""
-        return float(np.sqrt(np.nansum(np.square(self)))) if np.isfinite(self.statistics) else np.nan
-
-
-def budget_of(mode: ModeRow, sources: ErrorSources) -> tuple[Budget, Budget]:
-    """Return the budgets of a mode's natural frequency [rad/s] and of its damping ratio.
-
-    Notes
-    -----
-    What the clock rate contributes is the part of the variance that goes with it: its covariance with the number,
-    squared, over its own variance.
-    """
-    share = [0.0, 0.0]
-    if isinstance(mode.model, ModalModel):
-        n = mode.model.n_modes
-        covariance, rate = mode.model.covariance, 2 * n + 1
-        places = (mode.number - 1, n + mode.number - 1)
-        if covariance[rate, rate] > 0.0:
-            share = [float(covariance[place, rate] ** 2 / covariance[rate, rate]) for place in places]
-    own = [max(sd**2 - part, 0.0) for sd, part in zip((mode.omega_sd, mode.zeta_sd), share, strict=True)]
-    kelvin = sources.temperature_k
-    of_temperature = np.nan if kelvin is None else abs(sources.frequency_per_kelvin) * kelvin * mode.omega
-    return (
-        Budget(
-            float(np.sqrt(own[0])), float(np.sqrt(share[0])), sources.time_base * mode.omega, of_temperature
-        ),
-        Budget(float(np.sqrt(own[1])), float(np.sqrt(share[1]))),
-    )
-
-
-def add_modes(
-    page: Page, modes: Sequence[ModeRow], sources: ErrorSources, doubts: Sequence[str] = ()
-) -> None:
-    """Add the table of modes with 95 % intervals, and the budgets apart and together."""
-    rows, frequency_rows, damping_rows = [], [], []
+def add_modes(page: Page, modes: Sequence[ModeRow], doubts: Sequence[str] = ()) -> None:
+    """Add the table of modes with 95 % intervals."""
+    rows = []
     for k, mode in enumerate(modes):
-        of_omega, of_zeta = budget_of(mode, sources)
+        of_omega, of_zeta = mode.of_omega, mode.of_zeta
         hertz, hertz_sd = mode.omega / _TURN, of_omega.together / _TURN
         zeta, zeta_sd = 100.0 * mode.zeta, 100.0 * of_zeta.together
         doubt = doubts[k] if k < len(doubts) else ""
@@ -87,6 +46,23 @@ def add_modes(
                 doubt or "none",
             ]
         )
+    page.table(
+        ["mode", "f [Hz]", "95 % interval [Hz]", "ζ [%]", "95 % interval [%]", "doubt"],
+        rows,
+        "The modes; ± is the standard uncertainty of all known sources together. A damping ratio holds at the "
+        "amplitude of this experiment only.",
+    )
+
+
+def add_budgets(page: Page, modes: Sequence[ModeRow]) -> None:
+    """Add the uncertainties of frequencies and damping ratios, apart and together."""
+    if not modes:
+        return
+    frequency_rows, damping_rows = [], []
+    for mode in modes:
+        of_omega, of_zeta = mode.of_omega, mode.of_zeta
+        hertz, hertz_sd = mode.omega / _TURN, of_omega.together / _TURN
+        zeta, zeta_sd = 100.0 * mode.zeta, 100.0 * of_zeta.together
         frequency_rows.append(
             [
                 mode.name,
@@ -104,12 +80,6 @@ def add_modes(
                 small(zeta_sd),
             ]
         )
-    page.table(
-        ["mode", "f [Hz]", "95 % interval [Hz]", "ζ [%]", "95 % interval [%]", "doubt"],
-        rows,
-        "The modes, with all known sources of uncertainty together. A damping ratio holds at the amplitude of this "
-        "experiment only.",
-    )
     page.table(
         [
             "mode",
@@ -138,13 +108,13 @@ def add_poles(
     models: Sequence[Any],
     modes: Sequence[ModeRow],
     reference: Sequence[tuple[str, float, float]] | None,
+    sources: ErrorSources,
 ) -> None:
     """Add damping over frequency, and the map of poles and zeros."""
     if modes:
         page.figure(
-            figures.pole_figure(modes_by_output(modes), reference),
-            "Damping ratio over natural frequency. The bars are 95 % intervals from the scatter of the samples; the "
-            "budget above has the other sources.",
+            partial(figures.pole_figure, modes_by_output(modes), reference),
+            "Damping ratio over natural frequency. The bars are 95 % intervals of all known sources.",
             f"{len(modes)} modes by frequency and damping",
             "modes",
         )
@@ -153,7 +123,7 @@ def add_poles(
             continue
         name = getattr(model, "output_name", "")
         page.figure(
-            figures.pole_zero_figure(model),
+            partial(figures.pole_zero_figure, model, sources.relative),
             f"Poles and zeros of the upper half plane{f', {name}' if name else ''}, with the ellipses in which the "
             "poles lie at 95 %; small panels look at each pole closely. Zeros far beyond the poles stand for what "
             "the model leaves out, and are not drawn.",
@@ -285,7 +255,8 @@ def _add_shape_figure(page: Page, model: ModalModel, theory: Theory, sources: Er
     residues = model.residues[np.ix_(places, own)]
     sd = np.hypot(model.residue_sd[np.ix_(places, own)], np.abs(residues) * np.nan_to_num(scale)[:, None])
     page.figure(
-        figures.mode_shape_figure(
+        partial(
+            figures.mode_shape_figure,
             [f"mode {i + 1}" for i in own],
             theory.heights,
             theory.shapes[:, [k for _, k in pairs]],
@@ -301,35 +272,34 @@ def _add_shape_figure(page: Page, model: ModalModel, theory: Theory, sources: Er
     )
 
 
-def add_theory(page: Page, modes: Sequence[ModeRow], theory: Theory, sources: ErrorSources) -> None:
-    """Add identified frequencies beside theory's, through the budget of theory."""
+def add_theory(page: Page, modes: Sequence[ModeRow], theory: Theory, agreement: Agreement) -> None:
+    """Add identified frequencies beside theory's, through the uncertainties of both."""
     page.paragraph(theory.source)
     rows, parts = [], []
     for mode in modes:
-        k = nearest_mode(theory.natural_frequencies, mode.omega)
-        if k is None:
-            rows.append([mode.name, f"{mode.omega / _TURN:.4f}", *(["–"] * 7)])
+        beside = agreement.of(mode)
+        hertz = f"{mode.omega / _TURN:.{decimals(mode.omega_sd / _TURN, 4)}f}"
+        if beside is None:
+            rows.append([mode.name, hertz, *(["–"] * 6)])
             continue
-        own = budget_of(mode, sources)[0].together / mode.omega
-        deviation = mode.omega / theory.predicted[k] - 1.0
-        combined = float(np.hypot(np.nan_to_num(own), theory.type_b[k]))
-        zeta_z = (mode.zeta - theory.damping_ratios[k]) / mode.zeta_sd if mode.zeta_sd > 0.0 else np.nan
+        k = beside.number - 1
+        digits = decimals(beside.uncertainty * beside.predicted / _TURN, 4)
         rows.append(
             [
-                f"{mode.name} ({k + 1})",
-                f"{mode.omega / _TURN:.4f}",
-                f"{theory.natural_frequencies[k] / _TURN:.4f}",
-                f"{theory.predicted[k] / _TURN:.4f}",
-                f"{100 * deviation:+.3f}",
-                small(100 * combined),
-                f"{deviation / combined:+.2f}" if combined > 0.0 else "–",
-                f"{100 * theory.damping_ratios[k]:.4g}",
-                f"{zeta_z:+.2f}" if np.isfinite(zeta_z) else "–",
+                f"{mode.name} ({beside.number})",
+                hertz,
+                f"{beside.predicted / _TURN:.{digits}f}",
+                f"{100 * beside.deviation:+.2g}",
+                small(100 * beside.uncertainty),
+                signed(beside.z),
+                f"{100 * beside.damping_ratio:.4g}",
+                signed(beside.damping_z),
             ]
         )
         parts.append(
             [
-                f"{k + 1}",
+                f"{beside.number}",
+                f"{theory.natural_frequencies[k] / _TURN:.4f}",
                 *(f"{100 * own_part[k]:+.3f}" for own_part in theory.contributions.values()),
                 f"{100 * theory.type_b[k]:.3f}",
             ]
@@ -337,31 +307,26 @@ def add_theory(page: Page, modes: Sequence[ModeRow], theory: Theory, sources: Er
     page.table(
         [
             "mode (of theory)",
-            "identified f [Hz]",
-            "ideal [Hz]",
-            "predicted [Hz]",
-            "deviation [%]",
+            "identified [Hz]",
+            "theory [Hz]",
+            "off [%]",
             "uncertainty [%]",
             "z",
             "theory ζ [%]",
             "z of ζ",
         ],
         rows,
-        "Identified modes beside theory. Predicted: the ideal less what a real clamp and the air that moves along "
-        "take. z is the deviation over its combined standard uncertainty; that of the damping counts the statistical "
-        "part alone, since theory takes damping as given.",
+        "Identified modes beside theory. z is the deviation over its standard uncertainty, that of theory and of the "
+        "identified frequency together; that of the damping has the identified part alone: theory takes it as given.",
     )
-    if parts:
+    if parts and theory.contributions:
         page.table(
-            ["mode", *(f"{name} [%]" for name in theory.contributions), "together [%]"],
+            ["mode", "ideal [Hz]", *(f"{name} [%]" for name in theory.contributions), "together [%]"],
             parts,
             "The budget of theory: standard uncertainty of every predicted frequency from each source, of type B. "
             "One source moves all modes together.",
         )
-    if np.isfinite(theory.chi_squared):
-        page.paragraph(
-            f"All compared modes together, with the correlations that the common sources make: chi-squared "
-            f"{theory.chi_squared:.2f} over {len(parts)} modes; near their number means that theory and experiment "
-            "agree within their uncertainties. Far above it the pattern over the modes fits no mixture of the named "
-            "sources: something acts that the budget lacks, or a stated shift is not there, as with a simulated beam."
-        )
+    if agreement.is_doubtful:
+        page.warning(sentence(agreement.verdict), tone="doubt")
+    else:
+        page.paragraph(sentence(agreement.verdict))

@@ -13,7 +13,7 @@ import html
 import io
 import os
 import re
-from collections.abc import Container, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
@@ -23,62 +23,16 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Tone = Literal["", "good", "doubt", "bad"]
+Drawn = Literal["none", "sheet", "all"]
+"""Which figures a page has: none, those of the sheet to sign, or those of the evidence too."""
 
-_STYLE = """
-:root{color-scheme:light dark;--ink:#1f2937;--soft:#4b5563;--line:#d1d5db;--paper:#ffffff;--desk:#f3f4f6;
-  --link:#1d4ed8;--good:#0b5f58;--good-paper:#ecfdf5;--doubt:#854d0e;--doubt-paper:#fefce8;
-  --bad:#9a3412;--bad-paper:#fff7ed}
-@media (prefers-color-scheme:dark){:root{--ink:#e5e7eb;--soft:#b4bcc8;--line:#374151;--paper:#111827;
-  --desk:#0b0f19;--link:#93c5fd;--good:#6ee7b7;--good-paper:#06281f;--doubt:#fde68a;--doubt-paper:#2b2108;
-  --bad:#fdba74;--bad-paper:#2f1508}}
-*{box-sizing:border-box}
-html{-webkit-text-size-adjust:100%}
-body{margin:0;background:var(--desk);color:var(--ink);overflow-wrap:break-word;
-  font:15px/1.55 system-ui,-apple-system,"Segoe UI",Roboto,"DejaVu Sans",sans-serif}
-header,nav,main{display:flow-root;max-width:62rem;margin:0 auto;padding:0 2.4rem;background:var(--paper)}
-header{padding-top:2.2rem}main{padding-bottom:3rem}
-h1{font-size:1.7rem;line-height:1.2;margin:0 0 .4rem}
-h2{font-size:1.2rem;margin:2.4rem 0 .6rem;padding-top:.7rem;border-top:1px solid var(--line)}
-h3{font-size:1rem;margin:1.6rem 0 .4rem}
-p{margin:.5rem 0;max-width:46rem}a{color:var(--link)}
-.lead{font-size:1.05rem;max-width:52rem}
-nav ol{margin:.8rem 0 0;padding:0;list-style:none;display:flex;flex-wrap:wrap;gap:.15rem 1.1rem;font-size:.9rem}
-.box{overflow-x:auto;max-width:100%;margin:1rem 0 1.6rem}
-table{border-collapse:collapse;font-variant-numeric:tabular-nums;font-size:.88rem;min-width:50%}
-caption{text-align:left;color:var(--soft);padding-bottom:.4rem;min-width:16rem}
-caption span{position:sticky;left:0;display:inline-block;max-width:min(100%,calc(100vw - 2.2rem))}
-th,td{text-align:left;vertical-align:top;padding:.32rem .6rem;border-bottom:1px solid var(--line)}
-thead th{color:var(--soft);font-weight:600;vertical-align:bottom}
-tbody th{font-weight:600}
-.number{text-align:right;white-space:nowrap}
-.text{min-width:7rem;max-width:28rem}
-tr.chosen>*{background:var(--doubt-paper);font-weight:600}
-.good,.doubt,.bad{font-weight:600}.good{color:var(--good)}.doubt{color:var(--doubt)}.bad{color:var(--bad)}
-figure{margin:1rem 0 1.8rem}
-figure svg{display:block;width:100%;min-width:34rem;height:auto}
-figure svg text{fill:var(--ink);font-family:system-ui,"DejaVu Sans",sans-serif!important}
-figcaption{color:var(--soft);font-size:.88rem;max-width:46rem}
-figure .white svg{background:#fff}figure .white text{fill:#000}
-figure .box{margin:0 0 .3rem}
-math{font-size:1.1rem}
-aside{border-left:4px solid var(--bad);background:var(--bad-paper);padding:.5rem .9rem;margin:.6rem 0;max-width:52rem}
-aside.good{border-color:var(--good);background:var(--good-paper)}
-aside.doubt{border-color:var(--doubt);background:var(--doubt-paper)}
-aside p{margin:.15rem 0;color:var(--ink);font-weight:400}aside p.verdict{font-weight:600}
-code{font-size:.92em;overflow-wrap:anywhere}
-@media (max-width:48rem){header,nav,main{padding-left:1rem;padding-right:1rem}header{padding-top:1.2rem}}
-@page{size:A4;margin:14mm 13mm}
-@media print{:root{color-scheme:light;--ink:#000;--soft:#374151;--line:#9ca3af;--paper:#fff;--desk:#fff;
-  --link:#000;--good:#0b5f58;--good-paper:#fff;--doubt:#854d0e;--doubt-paper:#fff;--bad:#9a3412;--bad-paper:#fff}
-  body{font-size:9.5pt;line-height:1.4}header,nav,main{max-width:none;padding:0}
-  caption span{max-width:none}
-  .box{overflow:visible}.number{white-space:normal}.text{min-width:0}table{width:100%;font-size:8pt}
-  th,td{padding:.2rem .35rem;overflow-wrap:break-word}
-  table.wide{font-size:6.6pt}table.wide :is(th,td){padding:.15rem .2rem}
-  thead{display:table-header-group}tr,figure,aside,.equation{break-inside:avoid}h2,h3,caption{break-after:avoid}
-  figure svg{min-width:0;max-height:235mm}a{text-decoration:none}}
-"""
-
+_BEFORE_SIGNING = (
+    "Every reservation above is understood: one that cannot be explained is a finding, not a nuisance.",
+    "The intervals hold what is known besides: heights and scale are in the shapes, not in the frequencies; the "
+    "amplitude is in neither.",
+    "The bags are kept, and their checksums, under Provenance, are written down.",
+    "A colleague could repeat it: the bag carries the rig and the recipe of the signal, Provenance the versions.",
+)
 _WIDE = 8  # columns from which a table is set smaller on paper
 _NARROW = 6.0  # a figure below this width [inch] is not made as wide as the page
 _NUMBER = re.compile(
@@ -111,47 +65,75 @@ class Page:
     ----------
     title : str
     lead : str -- what a reader must know who reads one sentence only
+    simulated : str -- what stands under the title and in the head of every sheet where no beam was measured
+    drawn : "none", "sheet" or "all" -- which figures it has
 
     Attributes
     ----------
     figures : dict from name to SVG -- every figure that was given a name, as a file of its own would hold it
     """
 
-    def __init__(self, title: str, lead: str) -> None:
-        self.title, self.lead = title, lead
+    def __init__(self, title: str, lead: str, simulated: str = "", drawn: Drawn = "all") -> None:
+        self.title, self.lead, self.simulated, self.drawn = title, lead, simulated, drawn
         self.figures: dict[str, str] = {}
-        self._head: list[str] = []
-        self._sections: list[tuple[str, list[str]]] = []
+        self._head: list[dict[str, Any]] = []
+        self._sections: list[dict[str, Any]] = []
+        self._is_evidence = False
         self._colours: set[str] = set()
         self._n_boxes = 0
         self._n_figures = 0
 
     def section(self, heading: str) -> None:
         """Begin a section; what follows belongs to it."""
-        self._sections.append((heading, []))
+        begins = self._is_evidence and not any(own["is_evidence"] for own in self._sections)
+        own = {"heading": heading, "blocks": [], "is_evidence": self._is_evidence, "begins_evidence": begins}
+        self._sections.append(own)
+
+    def evidence(self) -> None:
+        """Fold the sections that follow on screen, and number them on paper: they stand behind the sheet to sign."""
+        self._is_evidence = True
+
+    @property
+    def draws(self) -> bool:
+        """Whether a figure that is added here is shown: what only a figure needs need not be computed otherwise."""
+        return self.drawn == "all" or (self.drawn == "sheet" and not self._is_evidence)
 
     def subsection(self, heading: str) -> None:
         """Begin a part of the section."""
-        self._add(f"<h3>{_escape(heading)}</h3>")
+        self._add("subsection", text=heading)
 
     def paragraph(self, text: str) -> None:
         """Add a paragraph of plain text."""
-        self._add(f"<p>{_escape(text)}</p>")
+        self._add("paragraph", text=text)
 
     def link(self, text: str, address: str) -> None:
         """Add a paragraph that is a link, to a file beside the page or into the net."""
-        self._add(f'<p><a href="{_escape(address)}">{_escape(text)}</a></p>')
+        self._add("link", text=text, address=address)
 
     def warning(self, text: str, remedy: str = "", tone: Tone = "bad") -> None:
         """Add what a reader must not overlook, with what to do about it; a verdict, in a good tone."""
-        remedies = f"<p>{_escape(remedy)}</p>" if remedy else ""
-        self._add(f'<aside class="{tone}"><p class="verdict">{_escape(text)}</p>{remedies}</aside>')
+        self._add("warning", text=text, remedy=remedy, tone=tone)
 
     def equation(self, mathml: str, text: str) -> None:
         """Add an equation as MathML, the content of ``<math>``, with the words that a screen reader speaks."""
-        self._add(
-            f'<div class="box equation" role="group" tabindex="0" aria-label="{_escape(text)}">'
-            f'<math display="block">{_PARENTHESES.sub(_UPRIGHT, mathml)}</math></div>'
+        self._add("equation", mathml=_PARENTHESES.sub(_UPRIGHT, mathml), text=text)
+
+    def signature(self, operator: str = "") -> None:
+        """Add what must be understood before signing, and who answers for the page, with date and signature."""
+        self.section("Before you sign")
+        self._add("checklist", texts=_BEFORE_SIGNING)
+        if not operator:
+            self.warning(
+                "Nobody is named as operator.",
+                "Write down who answers for the data: by hand below, or with --operator where the report is made.",
+                tone="doubt",
+            )
+        rows = [("measured by", operator), ("checked by", ""), ("approved by", "")]
+        self.table(
+            ["", "name", "date", "signature"],
+            [[*row, "", ""] for row in rows],
+            "Signatures.",
+            kind="signatures",
         )
 
     def table(
@@ -160,6 +142,7 @@ class Page:
         rows: Sequence[Sequence[str | Cell]],
         caption: str,
         chosen: Container[int] = (),
+        kind: str = "",
     ) -> None:
         """Add a table; the first cell of a row is its heading.
 
@@ -169,6 +152,7 @@ class Page:
         rows : sequence of sequence of str or Cell -- as long as ``columns``
         caption : str -- a sentence that says what the table means
         chosen : container of int -- indices of the rows that stand out
+        kind : str -- "signatures" for lines that are written on, "listing" for names with values
 
         Raises
         ------
@@ -187,76 +171,76 @@ class Page:
             and any(row[k].text for row in cells)
             for k in range(len(columns))
         ]
-        kinds = ["number" if number else "text" for number in is_number]
-        head = "".join(
-            f'<th scope="col" class="{kind}">{_escape(name)}</th>'
-            for name, kind in zip(columns, kinds, strict=True)
+        self._add(
+            "table",
+            columns=columns,
+            kinds=["number" if number else "text" for number in is_number],
+            rows=[[cell._replace(text=_unbroken(cell.text)) for cell in row] for row in cells],
+            caption=caption,
+            chosen=chosen,
+            kind=kind or ("wide" if len(columns) >= _WIDE else ""),
+            label=f"t{self._count_box()}",
         )
-        body = []
-        for number, row in enumerate(cells):
-            mark = ' class="chosen"' if number in chosen else ""
-            texts = "".join(
-                _cell(cell, kind, 'th scope="row"' if k == 0 else "td")
-                for k, (cell, kind) in enumerate(zip(row, kinds, strict=True))
-            )
-            body.append(f"<tr{mark}>{texts}</tr>")
-        wide = ' class="wide"' if len(columns) >= _WIDE else ""
-        label = f"t{self._count_box()}"
-        content = (
-            f'<table{wide}><caption id="{label}"><span>{_escape(caption)}</span></caption>'
-            f"<thead><tr>{head}</tr></thead><tbody>\n" + "\n".join(body) + "\n</tbody></table>"
-        )
-        self._add(_box(content, label))
 
-    def figure(self, figure: Figure, caption: str, alt: str, name: str = "", number: str = "") -> None:
-        """Add a figure of Matplotlib as SVG.
+    def figure(
+        self, figure: Figure | Callable[[], Figure], caption: str, alt: str, name: str = "", number: str = ""
+    ) -> None:
+        """Add a figure of Matplotlib as SVG, where figures are wanted.
 
         Parameters
         ----------
-        figure : matplotlib.figure.Figure
+        figure : matplotlib.figure.Figure, or what draws it -- called where it is shown
         caption : str -- what it means, and where not to trust it
         alt : str -- what it shows, for those who do not see it
         name : str -- its stem where it is also kept in ``figures``
         number : str -- in place of the page's own count, where a page takes over the numbers of another work
         """
-        self._n_figures += 1
+        if not self.draws:
+            return
+        figure = figure() if callable(figure) else figure
         svg = _svg(figure, alt)
         if name:
             self.figures[name] = svg
+        width = float(figure.get_size_inches()[0])
+        self.drawing(svg, caption, number, width if width < _NARROW else None)
+
+    def drawing(self, svg: str, caption: str, number: str = "", width_in: float | None = None) -> None:
+        """Add a figure that is drawn already, as ``figures`` holds it.
+
+        Parameters
+        ----------
+        svg : str
+        caption : str -- what it means, and where not to trust it
+        number : str -- in place of the page's own count
+        width_in : float, optional -- of a figure that is narrower than the page [inch]
+        """
+        self._n_figures += 1
         own, kind = _with_own_names(svg, self._n_figures), " white"
         if "<image" not in svg:  # pictures keep their colours, and white around them
             self._colours |= {colour.lower() for colour in _COLOUR.findall(own)}
             own, kind = _COLOUR.sub(lambda match: f"var(--c{match[0][1:].lower()})", own), ""
-        width = float(figure.get_size_inches()[0])
-        if width < _NARROW:
-            own = own.replace("<svg", f'<svg style="min-width:0;max-width:{width:.2f}in"', 1)
-        label = f"t{self._count_box()}"
+        if width_in is not None:
+            own = own.replace("<svg", f'<svg style="min-width:0;max-width:{width_in:.2f}in"', 1)
         words = f"Figure {number or self._n_figures}. {caption}"
-        self._add(
-            f'<figure>{_box(own, label, kind)}<figcaption id="{label}">{_escape(words)}</figcaption></figure>'
-        )
+        self._add("figure", svg=own, words=words, kind=kind, label=f"t{self._count_box()}")
 
     def text(self) -> str:
         """Return the whole page as HTML."""
-        contents = "".join(
-            f'<li><a href="#s{number}">{_escape(heading)}</a></li>'
-            for number, (heading, _) in enumerate(self._sections, 1)
+        from jinja2 import Environment, PackageLoader, StrictUndefined  # here: few who load this write a page
+
+        environment = Environment(
+            loader=PackageLoader("beam_ident.report", "."), autoescape=True, undefined=StrictUndefined
         )
-        nav = f'<nav aria-label="Contents"><ol>{contents}</ol></nav>\n' if len(self._sections) > 3 else ""
-        sections = "\n".join(
-            f'<section aria-labelledby="s{number}"><h2 id="s{number}">{_escape(heading)}</h2>\n'
-            + "\n".join(blocks)
-            + "\n</section>"
-            for number, (heading, blocks) in enumerate(self._sections, 1)
-        )
-        head = "\n".join(self._head)
-        return (
-            '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
-            '<meta name="viewport" content="width=device-width, initial-scale=1">'
-            '<link rel="icon" href="data:,">'
-            f"<title>{_escape(self.title)}</title><style>{_STYLE}{self._palette()}</style></head>\n<body>"
-            f'<header><h1>{_escape(self.title)}</h1><p class="lead">{_escape(self.lead)}</p></header>\n'
-            f"{nav}<main>\n{head}\n{sections}\n</main></body></html>\n"
+        return environment.get_template("page.html").render(
+            page=self,
+            head=self._head,
+            sections=self._sections,
+            style=Path(__file__).with_name("page.css").read_text(encoding="utf-8"),
+            palette=self._palette(),
+            running={
+                "title": _in_style(self.title),
+                "simulated": "SIMULATED DATA" if self.simulated else "",
+            },
         )
 
     def write(self, path: str | Path, overwrite: bool = False) -> Path:
@@ -286,10 +270,11 @@ class Page:
         if groups:
             self.section("Provenance")
         for group, entries in groups.items():
-            self.table([group, "value"], [[key, str(value)] for key, value in entries.items()], f"{group}.")
+            rows = [[key, str(value)] for key, value in entries.items()]
+            self.table([group, "value"], rows, f"{group}.", kind="listing")
 
-    def _add(self, block: str) -> None:
-        (self._sections[-1][1] if self._sections else self._head).append(block)
+    def _add(self, what: str, **parts: Any) -> None:
+        (self._sections[-1]["blocks"] if self._sections else self._head).append({"is": what, **parts})
 
     def _count_box(self) -> int:
         self._n_boxes += 1
@@ -364,17 +349,14 @@ def _escape(text: object) -> str:
     return html.escape(str(text), quote=True)
 
 
-def _cell(cell: Cell, kind: str, tag: str) -> str:
-    text = _escape(cell.text).replace(" ± ", "&nbsp;±&nbsp;" if kind == "text" else " ± ")
-    if cell.link:
-        text = f'<a href="{_escape(cell.link)}">{text}</a>'
-    classes = f"{kind} {cell.tone}".strip()
-    return f'<{tag} class="{classes}">{text}</{tag.split()[0]}>'
+def _unbroken(text: str) -> str:
+    """Return words whose numbers keep their uncertainty on one line."""
+    return text if _NUMBER.fullmatch(text) else text.replace(" ± ", "\u00a0±\u00a0")
 
 
-def _box(content: str, label: str, kind: str = "") -> str:
-    """Return a box that scrolls where its content is wider than the page, by keyboard too."""
-    return f'<div class="box{kind}" role="group" tabindex="0" aria-labelledby="{label}">{content}</div>'
+def _in_style(text: str) -> str:
+    """Return a text as it may stand in a string of a style sheet inside of HTML."""
+    return "".join(sign if sign.isalnum() or sign in " .,:-/()" else f"\\{ord(sign):06x}" for sign in text)
 
 
 def _svg(figure: Figure, alt: str) -> str:

@@ -34,6 +34,22 @@ def small(value: float) -> str:
     return f"{value:.2g}" if np.isfinite(value) else "–"
 
 
+def signed(value: float) -> str:
+    """Return a deviation in standard deviations, with its sign; a dash where it is not known."""
+    return f"{value:+.1f}" if np.isfinite(value) else "–"
+
+
+def r_squared(value: float) -> str:
+    """Return a coefficient of determination to two digits of what it lacks, so that none but a perfect one is 1."""
+    return f"{value:.{decimals(max(1.0 - value, 1e-12), 2)}f}" if np.isfinite(value) else "–"
+
+
+def sentence(text: str) -> str:
+    """Return words that begin with a capital and end with a full stop."""
+    text = text.strip()
+    return f"{text[:1].upper()}{text[1:]}{'' if text.endswith(('.', '?', '!')) else '.'}" if text else ""
+
+
 def decimals(sd: float, least: int = 0) -> int:
     """Return how many decimals show two digits of a standard deviation."""
     if not np.isfinite(sd) or sd <= 0.0:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from beam_ident.report.evidence import Trial, Unseen
 from beam_ident.report.page import Cell, Page, Tone
 from beam_ident.report.quantities import nearest_mode, small, with_uncertainty
 
-_TONES: dict[str, Tone] = {"good": "good", "noise-limited": "good", "fair": "doubt", "poor": "bad"}
+TONES: dict[str, Tone] = {"good": "good", "noise-limited": "good", "fair": "doubt", "poor": "bad"}
 
 
 def add_validation(page: Page, unseen: Sequence[Unseen]) -> None:
@@ -36,7 +37,7 @@ def add_validation(page: Page, unseen: Sequence[Unseen]) -> None:
                 rows.append(
                     [
                         o.name,
-                        Cell(word, _TONES.get(word, "")),
+                        Cell(word, TONES.get(word, "")),
                         f"{o.simulation_scores.fit_percent:.2f}",
                         f"{o.scores.fit_percent:.2f}",
                         f"{o.deflection_scores.fit_percent:.2f}",
@@ -61,10 +62,15 @@ def add_validation(page: Page, unseen: Sequence[Unseen]) -> None:
             "The other scores also fit the motion that was already there when the record began. Residual over noise "
             "is near 1 where the model leaves nothing but noise.",
         )
+
+
+def add_predictions(page: Page, unseen: Sequence[Unseen]) -> None:
+    """Draw every prediction of unseen data, with the correlation of its residual with the input."""
+    for one in unseen:
         for validation in one.results:
             names = ", ".join(o.name for o in validation.outputs)
             page.figure(
-                figures.validation_figure(validation),
+                partial(figures.validation_figure, validation),
                 "Measurement and prediction of unseen data, as a plain simulation and with fitted initial motion, "
                 "and the correlation of residual and input: bars outside the band are dynamics that it lacks.",
                 f"prediction of {names} on {one.name}, with the residual's correlation with the input",
@@ -96,7 +102,8 @@ def add_trials(page: Page, trials: Sequence[Trial]) -> None:
     if not found:
         return
     page.figure(
-        figures.trend_figure(
+        partial(
+            figures.trend_figure,
             found,
             [trial.name for trial in trials],
             "largest deflection of the record [mm]" if by_level else "record",

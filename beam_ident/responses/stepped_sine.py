@@ -77,6 +77,24 @@ class SineFit:
         return float(self.covariance[0, 0] + self.covariance[1, 1])
 
 
+def _seen(times_s: FloatArray, values: FloatArray, omega: float) -> tuple[FloatArray, FloatArray]:
+    """Return the stamps and values that were seen, or refuse what no sine is fitted to."""
+    times, data = finite_row("stamps [s]", times_s), np.asarray(values, dtype=np.float64)
+    if data.shape != times.shape or np.any(np.isinf(data)):
+        raise EstimationError(
+            f"values of shape {data.shape} for {len(times)} stamps, {np.count_nonzero(np.isinf(data))} of them "
+            "infinite; expected one for each, NaN where nothing was seen"
+        )
+    seen = np.isfinite(data)
+    times, data = times[seen], data[seen]
+    require_size("the signal", data)
+    if len(data) < _MIN_SAMPLES:
+        raise EstimationError(f"{len(data)} samples for a sine; expected at least {_MIN_SAMPLES}")
+    if not (math.isfinite(omega) and omega > 0.0):
+        raise EstimationError(f"omega is {omega}; expected a frequency > 0 in rad/s")
+    return times, data
+
+
 def fit_sine(
     times_s: FloatArray, values: FloatArray, omega: float, is_frequency_free: bool = False
 ) -> SineFit:
@@ -95,21 +113,9 @@ def fit_sine(
     EstimationError
         Fewer than eight samples, a frequency that is not positive, stamps that do not determine the sine.
     """
-    times, data = finite_row("stamps [s]", times_s), np.asarray(values, dtype=np.float64)
-    if data.shape != times.shape or np.any(np.isinf(data)):
-        raise EstimationError(
-            f"values of shape {data.shape} for {len(times)} stamps, {np.count_nonzero(np.isinf(data))} of them "
-            "infinite; expected one for each, NaN where nothing was seen"
-        )
-    seen = np.isfinite(data)
-    times, data = times[seen], data[seen]
-    require_size("the signal", data)
+    times, data = _seen(times_s, values, omega)
     if is_frequency_free:
         require_output("values", data)
-    if len(data) < _MIN_SAMPLES:
-        raise EstimationError(f"{len(data)} samples for a sine; expected at least {_MIN_SAMPLES}")
-    if not (math.isfinite(omega) and omega > 0.0):
-        raise EstimationError(f"omega is {omega}; expected a frequency > 0 in rad/s")
     middle = 0.5 * float(times[0] + times[-1])
     late = times - middle  # from the middle, frequency and phase hardly depend on each other
     found, design, converged = np.zeros(0), np.zeros((0, 0)), True

@@ -14,8 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtrc as chi_squared_sf
 
-from beam_ident.arrays import BoolArray, FloatArray
+from beam_ident.arrays import BoolArray, FloatArray, IndexArray
 from beam_ident.noise.scores import Whiteness
+from beam_ident.noise.shared_noise import SharedNoise, regular_correlation
 
 _LEVEL = 1e-6  # how often stamps without an error are said to scatter
 _COLOURED = 1e-6  # what an error of the model leaves follows the speed too, but not at random
@@ -51,38 +52,43 @@ class StampJitter:
 
         Notes
         -----
-        The residuals of an instant have the covariance ``diag(sigma_j^2) + tau v v^T``, v the speeds. Likelihood is
-        climbed in turns: ``tau`` by scoring, the ``sigma_j^2`` by expectation over the errors of the stamps. With
-        ``s = sum v r / sigma^2`` and ``q = sum v^2 / sigma^2`` an error is ``tau s / (1 + tau q)`` on average.
+        The residuals of an instant have the covariance ``C + tau v v^T``, v the speeds, and C that of the outputs'
+        own noise, diagonal where they share none. Likelihood is climbed in turns: ``tau`` by scoring, C by
+        expectation over the errors of the stamps. With ``s = v^T C^-1 r`` and ``q = v^T C^-1 v`` an error is
+        ``tau s / (1 + tau q)`` on average.
         """
-        counts = np.maximum(np.sum(seen, axis=0), 1)
-        plain = np.maximum(np.sum(residuals**2, axis=0) / counts, 1e-300)
-        none = StampJitter(0.0, plain, speeds)
-        variances = plain
+        instants = _Instants.of(residuals, speeds, seen)
+        plain = instants.covariance(residuals, np.zeros(len(residuals)))
+        none = StampJitter(0.0, np.diag(plain).copy(), speeds)
+        covariance = plain
         # To begin with, half of what is left is the jitter's.
-        tau = 0.5 * float(np.sum(residuals**2 / plain)) / max(float(np.sum(speeds**2 / plain)), 1e-300)
+        alone = np.maximum(np.diag(plain), 1e-300)
+        tau = 0.5 * float(np.sum(residuals**2 / alone)) / max(float(np.sum(speeds**2 / alone)), 1e-300)
         for _ in range(_TURNS):
-            s, q = (residuals * speeds) @ (1.0 / variances), speeds**2 @ (1.0 / variances)
+            s, q, _, _ = instants.products(covariance)
             spread = 1.0 / (1.0 + tau * q)
             step = np.sum((s**2 - q - tau * q**2) * spread**2) / max(np.sum((q * spread) ** 2), 1e-300)
             before, tau = tau, max(tau + float(step), 0.0)
             if tau == 0.0:
                 return none
             spread = 1.0 / (1.0 + tau * q)
-            left = residuals - speeds * (tau * s * spread)[:, None]
-            moved = np.sum(left**2 + speeds**2 * (tau * spread)[:, None], axis=0) / counts
-            change = max(abs(tau / before - 1.0), float(np.max(np.abs(moved / variances - 1.0))))
-            variances = np.maximum(moved, 1e-6 * plain)
+            moved = instants.covariance(residuals - speeds * (tau * s * spread)[:, None], tau * spread)
+            change = max(
+                abs(tau / before - 1.0), float(np.max(np.abs(moved - covariance)) / np.max(np.diag(moved)))
+            )
+            covariance = moved
             if change < _SETTLED:
                 break
-        s, q = (residuals * speeds) @ (1.0 / variances), speeds**2 @ (1.0 / variances)
+        s, q, power, size = instants.products(covariance)
         grown = 1.0 + tau * q
         # Twice the gain in log-likelihood over noise of one level.
-        gain = float(counts @ np.log(plain / variances) - np.sum(np.log(grown)))
-        gain += float(np.sum(counts) - np.sum(residuals**2 / variances) + np.sum(tau * s**2 / grown))
+        _, _, power_before, size_before = instants.products(plain)
+        gain = size_before + power_before - size - power - float(np.sum(np.log(grown)))
+        gain += float(np.sum(tau * s**2 / grown))
         errors = s[q > 0.0] / np.sqrt((q * grown)[q > 0.0])
         if chi_squared_sf(1, max(gain, 0.0)) > _LEVEL or Whiteness.of(errors).p_value < _COLOURED:
             return none
+        variances = np.diag(covariance).copy()
         scale = np.sqrt(variances + tau * speeds**2)
         if np.max(np.abs(residuals) / scale) > _WILD:
             return none
@@ -96,3 +102,43 @@ class StampJitter:
 def is_any(jitters: Sequence[StampJitter]) -> bool:
     """Return whether the stamps of any record scatter."""
     return any(own.sd_s > 0.0 for own in jitters)
+
+
+@dataclass(frozen=True, eq=False)
+class _Instants:
+    """Residuals and speeds by which outputs were seen together."""
+
+    residuals: FloatArray
+    speeds: FloatArray
+    seen: BoolArray
+    groups: list[tuple[IndexArray, BoolArray]]
+    are_shared: bool
+
+    @staticmethod
+    def of(residuals: FloatArray, speeds: FloatArray, seen: BoolArray) -> _Instants:
+        kinds, which = np.unique(seen, axis=0, return_inverse=True)
+        groups = [(np.flatnonzero(kind), np.ravel(which) == number) for number, kind in enumerate(kinds)]
+        rows = np.where(seen, np.arange(len(seen))[:, None], -1)
+        shared = SharedNoise.of(list(residuals.T), rows)
+        return _Instants(residuals, speeds, seen, [own for own in groups if len(own[0])], shared is not None)
+
+    def covariance(self, left: FloatArray, variance: FloatArray) -> FloatArray:
+        """Return C from what errors of the stamps leave and the variance that they keep, shape (n_instants,)."""
+        counts = self.seen.T.astype(float) @ self.seen
+        total = left.T @ left + (self.speeds * variance[:, None]).T @ self.speeds
+        found = total / np.maximum(counts, 1.0)
+        sds = np.sqrt(np.maximum(np.diag(found), 1e-300))
+        correlation = regular_correlation(found / np.outer(sds, sds)) if self.are_shared else np.eye(len(sds))
+        return np.asarray(correlation * np.outer(sds, sds))
+
+    def products(self, covariance: FloatArray) -> tuple[FloatArray, FloatArray, float, float]:
+        """Return ``v^T C^-1 r`` and ``v^T C^-1 v`` of every instant, all ``r^T C^-1 r`` and all ``log det C``."""
+        s, q, power, size = np.zeros(len(self.seen)), np.zeros(len(self.seen)), 0.0, 0.0
+        for outputs, here in self.groups:
+            own = covariance[np.ix_(outputs, outputs)]
+            r, v = self.residuals[here][:, outputs], self.speeds[here][:, outputs]
+            weighed = np.linalg.solve(own, v.T).T
+            s[here], q[here] = np.sum(weighed * r, axis=1), np.sum(weighed * v, axis=1)
+            power += float(np.sum(r * np.linalg.solve(own, r.T).T))
+            size += len(r) * float(np.linalg.slogdet(own)[1])
+        return s, q, power, size

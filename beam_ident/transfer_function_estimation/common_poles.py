@@ -9,7 +9,7 @@ denominators that the outputs give alone is where the joint iteration starts.
 
 from __future__ import annotations
 
-import contextlib
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -33,6 +33,7 @@ from beam_ident.errors import EstimationError
 from beam_ident.noise.record_fit import RecordFit, pooled_scores
 from beam_ident.noise.relation import is_related
 from beam_ident.noise.scores import Scores, Tested, Whiteness
+from beam_ident.noise.shared_noise import SharedNoise, together
 from beam_ident.numerics.blas_threads import on_one_thread
 from beam_ident.numerics.levenberg_marquardt import Minimum, minimise
 from beam_ident.sensing.clock_rate import clocks_of_record
@@ -52,20 +53,19 @@ from beam_ident.transfer_function_estimation.estimation import (
     with_initial_motion,
 )
 from beam_ident.transfer_function_estimation.output_error import OutputErrorProblem, OutputErrorState
+from beam_ident.transfer_function_estimation.pole_exchange import Place, exchanged
 from beam_ident.transfer_function_estimation.record_share import Nuisances, RecordShare
 from beam_ident.transfer_function_estimation.rivc import LOOKS, MAX_TRAVEL
 from beam_ident.transfer_function_estimation.srivc import (
     are_known,
     estimate_denominator,
     follow_inputs,
-    widened,
 )
 
 _ITERATIONS = 50
 _TURNS = 25  # of poles and noise
 _SETTLED = 0.02  # standard deviations that a turn may still move the poles
 _MAX_POLES = 20
-_MOST_INSIDE = 30  # structures inside one, at most: a bound on time
 
 
 Model = TypeVar("Model", TransferFunctionModel, MultiInputModel)
@@ -144,7 +144,7 @@ class _JointProblem:
         return np.sum([part[0] for part in parts], axis=0), np.sum([part[1] for part in parts], axis=0)
 
     def limited(self, theta: FloatArray, step: FloatArray) -> FloatArray:
-        return np.asarray(theta + step)
+        return self.problems[0].limited(theta, step)
 
     def scale_to(self, state: _JointState) -> None:
         """Take the unit of frequency of a state."""
@@ -269,85 +269,131 @@ def estimate_common_poles(
     """
     records = require_records(record)
     first = records[0]
-    degrees: list[Any] = list(n_zeros) if isinstance(n_zeros, Sequence) else [n_zeros] * len(first.outputs)
+    drives, zeros = _degrees(first, n_zeros, input_name)
+    delays = tuple(one_each("delay", delay, list(drives)))
+    terms = Nuisances(has_offset, has_ramp)
+    asked = _Request(n_poles, zeros, drives, delays, n_integrators, terms, has_free_response)
+    asked.check(records, n_zeros)
+    is_one_input = not isinstance(n_zeros, Sequence) or not any(isinstance(own, Sequence) for own in n_zeros)
+    records, gaps = split_at_gaps(records, 3 * (n_poles + 2))
+    records, repeated = without_repeated(records, first.output_names)
+    result, clipped = without_clipped(
+        records,
+        first.output_names,
+        lambda seen: asked.fit(seen, is_one_input),
+        lambda found, one, name: found.model(name).predict(one),
+    )
+    said = [clipped] if clipped else []
+    for one in records:
+        said += damage_warnings(one.outputs, [one.input(own) for own in drives])
+    if isinstance(result, CommonPoleResult):
+        said += _input_misfits(records, drives[0], result)
+        if not all(Whiteness.of(left).is_white for left in result.residuals):
+            for one in records:
+                said += clocks_of_record(one.outputs, one.input(drives[0]))
+    return replace(result, warnings=(*gaps, *result.warnings, *repeated, *said))
+
+
+def _degrees(
+    record: TimeRecord, n_zeros: int | Sequence[int] | Sequence[Sequence[int]], input_name: str | None
+) -> tuple[tuple[str, ...], tuple[tuple[int, ...], ...]]:
+    """Return the inputs that are taken, and of every output the degrees of its numerators, one for each input."""
+    degrees: list[Any] = list(n_zeros) if isinstance(n_zeros, Sequence) else [n_zeros] * len(record.outputs)
     several = any(isinstance(own, Sequence) for own in degrees)
     if several and input_name is not None:
         raise EstimationError(
             "input_name goes with one number of zeros for each output; a sequence of them takes all inputs"
         )
-    if not several and input_name is None and len(first.inputs) > 1:
+    if not several and input_name is None and len(record.inputs) > 1:
         raise EstimationError(
-            f"record {first.name!r} has {len(first.inputs)} inputs; say which one by its name, or give for every "
+            f"record {record.name!r} has {len(record.inputs)} inputs; say which one by its name, or give for every "
             "output a number of zeros for each input"
         )
-    drives = [own.name for own in (first.inputs if several else chosen_inputs(first, input_name))]
-    if len(degrees) != len(first.outputs):
+    drives = [own.name for own in (record.inputs if several else chosen_inputs(record, input_name))]
+    if len(degrees) != len(record.outputs):
         raise EstimationError(
-            f"n_zeros has {len(degrees)} entries for {len(first.outputs)} outputs; expected one for each"
+            f"n_zeros has {len(degrees)} entries for {len(record.outputs)} outputs; expected one for each"
         )
-    zeros = [one_each("n_zeros", own, drives) for own in degrees]
-    delays = one_each("delay", delay, drives)
-    for name, value in (
-        ("n_poles", n_poles),
-        ("n_integrators", n_integrators),
-        *(("n_zeros", m) for own in zeros for m in own),
-    ):
-        require_whole_number(name, value, 0)
-    if (
-        n_integrators not in range(3)
-        or not 1 <= n_poles <= _MAX_POLES
-        or not all(0 <= m <= n_poles + n_integrators for own in zeros for m in own)
-    ):
-        raise EstimationError(
-            f"{n_poles} poles, {n_integrators} integrators and {n_zeros} zeros; expected 1 to {_MAX_POLES} poles, at "
-            "most 2 integrators, and no more zeros than both together"
-        )
-    for name, late in zip(drives, delays, strict=True):
-        require_time("delay", late)
-        for one in records:
-            for output in one.outputs:
-                require_arrival(one.input(name), late, output)
-        if not has_free_response:
-            require_excitation(records, name)
-    records, gaps = split_at_gaps(records, 3 * (n_poles + 2))
+    return tuple(drives), tuple(tuple(one_each("n_zeros", own, drives)) for own in degrees)
 
-    def fit(seen: list[TimeRecord]) -> CommonPoleResult | MultiInputCommonPoleResult:
+
+@dataclass(frozen=True)
+class _Request:
+    """What is estimated.
+
+    Attributes
+    ----------
+    n_poles, n_integrators : int
+    zeros : tuple of tuple of int -- of every output, degrees of its numerators
+    drives, delays : tuple -- inputs that are taken, and how late each arrives [s]
+    terms : Nuisances -- of every output
+    has_free_response : bool or None
+    """
+
+    n_poles: int
+    zeros: tuple[tuple[int, ...], ...]
+    drives: tuple[str, ...]
+    delays: tuple[float, ...]
+    n_integrators: int
+    terms: Nuisances
+    has_free_response: bool | None
+
+    def check(self, records: Sequence[TimeRecord], n_zeros: object) -> None:
+        """Raise EstimationError where it is impossible; ``n_zeros`` is as it was given."""
+        require_whole_number("n_poles", self.n_poles, 0)
+        require_whole_number("n_integrators", self.n_integrators, 0)
+        for m in itertools.chain(*self.zeros):
+            require_whole_number("n_zeros", m, 0)
+        most = self.n_poles + self.n_integrators
+        is_possible = self.n_integrators in range(3) and 1 <= self.n_poles <= _MAX_POLES
+        if not is_possible or not all(0 <= m <= most for m in itertools.chain(*self.zeros)):
+            raise EstimationError(
+                f"{self.n_poles} poles, {self.n_integrators} integrators and {n_zeros} zeros; expected 1 to "
+                f"{_MAX_POLES} poles, at most 2 integrators, and no more zeros than both together"
+            )
+        for name, late in zip(self.drives, self.delays, strict=True):
+            require_time("delay", late)
+            for one in records:
+                for output in one.outputs:
+                    require_arrival(one.input(name), late, output)
+            if not self.has_free_response:
+                require_excitation(records, name)
+
+    def fit(
+        self, seen: list[TimeRecord], is_one_input: bool
+    ) -> CommonPoleResult | MultiInputCommonPoleResult:
+        """Return the estimate from some records."""
         still: list[OutputErrorState] = []
 
         def attempt(is_moving: bool) -> _Found:
-            nuisances = Nuisances(has_offset, has_ramp, is_moving).with_integrators(n_integrators)
-            problems = []
-            priors, blocks = [Prior(late) for late in delays], [0] * len(drives)
-            for name, own in zip(first.output_names, zeros, strict=True):
-                experiments = [
-                    RecordShare.of(one, name, drives, own, blocks, priors, n_integrators, is_moving)
-                    for one in seen
-                ]
-                problems.append(OutputErrorProblem(experiments, (n_poles,), nuisances))
-            found = _beyond(_joint_minimum(problems, still), {})
+            problems = [self._problem(seen, place, is_moving) for place in range(len(self.zeros))]
+            found = _joint_minimum(problems, still)
             still.append(found[1].state.states[0])
             return found
 
-        (joint, minimum, iterations), motion = with_initial_motion(attempt, _tested, has_free_response)
+        (joint, minimum, iterations), motion = with_initial_motion(attempt, _tested, self.has_free_response)
         joint, minimum, more = _under_noise_as_it_is(joint, minimum)
-        result = _result(seen, joint, minimum, n_integrators, iterations + more, several)
+        result = _result(seen, joint, minimum, self.n_integrators, iterations + more, not is_one_input)
         return replace(result, warnings=(*motion.warnings, *result.warnings))
 
-    records, repeated = without_repeated(records, first.output_names)
-    result, said = without_clipped(
-        records, first.output_names, fit, lambda found, one, name: found.model(name).predict(one)
-    )
-    damage = [
-        text for one in records for text in damage_warnings(one.outputs, [one.input(own) for own in drives])
-    ]
-    if isinstance(result, CommonPoleResult):
-        damage += _input_misfits(records, drives[0], result)
-        if not all(Whiteness.of(left).is_white for left in result.residuals):
-            damage += [
-                said for one in records for said in clocks_of_record(one.outputs, one.input(drives[0]))
-            ]
-    told = (*gaps, *result.warnings, *repeated, *((said,) if said else ()), *damage)
-    return replace(result, warnings=told)
+    def _problem(self, seen: Sequence[TimeRecord], place: int, is_moving: bool) -> OutputErrorProblem:
+        """Return the problem of one output alone."""
+        name, priors = seen[0].output_names[place], [Prior(late) for late in self.delays]
+        shares = [
+            RecordShare.of(
+                one,
+                name,
+                list(self.drives),
+                list(self.zeros[place]),
+                [0] * len(self.drives),
+                priors,
+                self.n_integrators,
+                is_moving,
+            )
+            for one in seen
+        ]
+        nuisances = replace(self.terms, has_free_response=is_moving).with_integrators(self.n_integrators)
+        return OutputErrorProblem(shares, (self.n_poles,), nuisances)
 
 
 def _input_misfits(records: Sequence[TimeRecord], name: str, result: CommonPoleResult) -> list[str]:
@@ -376,33 +422,27 @@ def _tested(found: _Found) -> list[Tested]:
     return [problem.initial_motion(own) for problem, own in pairs]
 
 
-def _beyond(found: _Found, known: dict[tuple[object, ...], OutputErrorState | None]) -> _Found:
-    """Return an optimum, or a better one from where a structure inside it ended better (as ``srivc`` does)."""
+def _elsewhere(found: _Found, pool: Sequence[Place]) -> _Found:
+    """Return an optimum, or a better one that has some of its poles in other places (as ``srivc`` does)."""
     joint, minimum, iterations = found
-    theta = minimum.state.theta
     joint.scale_to(minimum.state)
+    theta = minimum.state.theta
     is_known = minimum.converged and are_known(joint.problems[0], theta, joint.slope(minimum.state)[0])
     if is_known and not follow_inputs(joint.problems, minimum.state.states):
         return found
-    insides = [problem.inside() for problem in joint.problems]
-    for name in insides[0]:
-        if not all(name in own for own in insides):
-            continue
-        smaller = [own[name] for own in insides]
-        key = tuple(own.degrees for own in smaller)
-        if key not in known and len(known) < _MOST_INSIDE:
-            known[key] = None
-            with contextlib.suppress(EstimationError):
-                known[key] = _beyond(_joint_minimum(smaller), known)[1].state.states[0]
-        state = known.get(key)
-        if state is not None and math.isfinite(state.cost):
-            again = _JointProblem(joint.problems, state.scale)
-            points = [again.state(own) for own in widened(again.problems[0], state)]
-            start = min(points, key=lambda own: own.cost)
-            if start.cost < minimum.state.cost:
-                joint, minimum = again, minimise(again, start, _ITERATIONS)
-                iterations += minimum.iterations
-            joint.scale_to(minimum.state)
+
+    def place_of(own: _Found) -> Place:
+        return replace(Place.of(own[1].state.states[0]), cost=own[1].state.cost)
+
+    def refined(place: Place, target: float) -> _Found:
+        again = _JointProblem(joint.problems, place.scale)
+        end = minimise(again, again.state(place.theta), _ITERATIONS, target)
+        return again, end, iterations + end.iterations
+
+    joint, minimum, iterations = exchanged(
+        joint.problems, found, place_of, refined, [own.poles for own in pool]
+    )
+    joint.scale_to(minimum.state)
     return joint, minimum, iterations
 
 
@@ -411,7 +451,7 @@ def _joint_minimum(problems: list[OutputErrorProblem], inside: Sequence[OutputEr
 
     ``inside`` are optima of the same outputs with fewer nuisances.
     """
-    alone = [estimate_denominator(problem, "auto", looks_inside=False) for problem in problems]
+    alone = [estimate_denominator(problem, "auto", looks_elsewhere=False) for problem in problems]
     problems = [problem for problem, _ in alone]
     starts = [optimum.state for _, optimum in alone] + list(inside)
     joints = [_JointProblem(problems, own.scale).state(own.theta) for own in starts]
@@ -424,7 +464,7 @@ def _joint_minimum(problems: list[OutputErrorProblem], inside: Sequence[OutputEr
     if len(problems[0].experiments) > 1:
         joint, minimum = _in_turns(joint, minimum, as_it_is=False)
         iterations += minimum.iterations
-    return joint, minimum, iterations
+    return _elsewhere((joint, minimum, iterations), [Place.of(own) for own in starts])
 
 
 def _under_noise_as_it_is(joint: _JointProblem, minimum: Minimum[_JointState]) -> _Found:
@@ -473,12 +513,14 @@ def _result(
         problem.unweighed_residuals(own) for problem, own in zip(joint.problems, states, strict=True)
     ]
     information = [problem.slope(own)[0] for problem, own in zip(joint.problems, states, strict=True)]
+    beside = _shared_covariances(joint.problems, states, np.sum(information, axis=0))
     models, fits = [], []
     for j, (problem, own, name) in enumerate(
         zip(joint.problems, states, records[0].output_names, strict=True)
     ):
         others = [part for k, part in enumerate(information) if k != j]
         covariance = problem.covariance(own, np.sum(others, axis=0) if others else None)
+        covariance = replace(covariance, values=covariance.values + beside[j])
         fits.append(record_fits(problem, own, covariance))
         model = physical_model(problem, own, covariance.values, n_integrators, pooled_level(fits[-1]), name)
         models.append(model)
@@ -527,3 +569,48 @@ def _result(
     if several:
         return MultiInputCommonPoleResult(models=tuple(models), **figures)
     return CommonPoleResult(models=tuple(model.path(0) for model in models), **figures)
+
+
+def _shared_covariances(
+    problems: Sequence[OutputErrorProblem], states: Sequence[OutputErrorState], information: FloatArray
+) -> list[FloatArray]:
+    """Return what noise that outputs share adds to the covariance of every output, as if each was by itself.
+
+    Notes
+    -----
+    With H the information on theta, S the covariance of its score and the projected derivatives D_k, w_k of unit
+    variance, the errors are ``H^-1 sum_k D_k^T w_k`` of theta and ``B_j w_j + G_j`` times that of the linear
+    coefficients, B_j the pseudoinverse of their columns and G_j as in (T.10): ``S - H`` and the covariance of B_j w_j
+    and the score hold the terms between outputs.
+    """
+    sizes = [len(own.theta) + len(own.coefficients) for own in states]
+    nothing = [np.zeros((size, size)) for size in sizes]
+    owned = list(zip(problems, states, strict=True))
+    tables = [
+        together(times, rows)[1]
+        for times, rows in zip(
+            zip(*([own.times for own in problem.experiments] for problem in problems), strict=True),
+            zip(*([np.arange(r.start, r.stop) for r in problem.rows] for problem in problems), strict=True),
+            strict=True,
+        )
+    ]
+    shared = SharedNoise.of([own.residuals for own in states], np.concatenate(tables))
+    if shared is None:
+        return nothing
+    spreads = [problem.spread(own) for problem, own in owned]
+    jacobians = [problem.jacobian(own) for problem, own in owned]
+    solutions = [own.solution for own in states if own.solution is not None]
+    projected = [
+        solution.left_of(jacobian) / spread
+        for solution, jacobian, spread in zip(solutions, jacobians, spreads, strict=True)
+    ]
+    inverse = np.linalg.pinv(information, hermitian=True)
+    of_theta = inverse @ shared.excess(projected, [slice(0, len(own)) for own in projected]) @ inverse
+    result = []
+    for j, (solution, jacobian, spread) in enumerate(zip(solutions, jacobians, spreads, strict=True)):
+        sensitivity = -solution.coefficients(jacobian)
+        told = spread * solution.coefficients(shared.told_by_others(projected, j)) @ inverse
+        cross = sensitivity @ of_theta + told
+        of_linear = cross @ sensitivity.T + sensitivity @ told.T
+        result.append(np.block([[of_theta, cross.T], [cross, of_linear]]))
+    return result

@@ -34,6 +34,7 @@ from beam_ident.noise.record_fit import OverOneOutput, OverOutputs, RecordFit, p
 from beam_ident.noise.relation import innovation_criterion, is_related
 from beam_ident.noise.scores import Scores, ScoreTest, Tested, Whiteness, are_rounding
 from beam_ident.numerics.blas_threads import on_one_thread
+from beam_ident.numerics.rational_response import upper_roots
 from beam_ident.sensing.clock_rate import clocks_of_record
 from beam_ident.sensing.damage import damage_warnings, without_repeated
 from beam_ident.sensing.misfit_causes import input_misfit_warnings
@@ -51,12 +52,12 @@ from beam_ident.transfer_function_estimation.output_error import (
     OutputErrorProblem,
     OutputErrorState,
 )
+from beam_ident.transfer_function_estimation.pole_exchange import Place
 from beam_ident.transfer_function_estimation.record_share import Nuisances, RecordShare
 from beam_ident.transfer_function_estimation.rivc import refine_with_noise_model, under_noise_as_it_is
 from beam_ident.transfer_function_estimation.srivc import (
     FINALISTS,
     METHODS,
-    KnownInside,
     Method,
     Optimum,
     estimate_denominator,
@@ -284,10 +285,9 @@ def estimate_transfer_function(
         or a drift more explains the data better, a warning says which.
     n_starts : int
         Starts at most, tried in turn until the residuals look like noise; 1 is the quickest, for
-        comparing many structures.  With all of them, where the optimum did not converge or a pole is hardly known,
-        the structures inside this one (without a nuisance, the delay, a zero or a pole) are estimated, too, because
-        it must not end in a worse optimum than they do.  Inputs with denominators of their own have starts of their
-        own.
+        comparing many structures.  With all of them, where the optimum did not converge, a pole is hardly known, or
+        the residuals follow the input, poles are exchanged for others as long as that explains more.  Inputs with
+        denominators of their own have starts of their own.
 
     Returns
     -------
@@ -321,18 +321,8 @@ def estimate_transfer_function(
     result = estimated(record, n_poles, n_zeros, **options)
     if not (method in ("auto", "output_error", "rivc") and leaves_doubt(result)):
         return result
-    best, gain, present = None, STRONG, criterion(result, has_offset, has_ramp)
-    for offer in offers(n_poles, n_zeros, options):
-        try:
-            other = estimated(record, offer.n_poles, n_zeros, **offer.options)
-        except EstimationError:
-            continue
-        lower = present - criterion(other, offer.options["has_offset"], offer.options["has_ramp"])
-        if len(other.measured) == len(result.measured) and other.converged and lower > gain:
-            best, gain = offer, lower
-            if not leaves_doubt(other):
-                break
-    if best is None:
+    best, gain = _more_terms(record, result, n_zeros, offers(n_poles, n_zeros, options), options)
+    if best is None or gain <= STRONG:
         return result
     said = (
         f"With {best} the data are explained better than with the structure that was asked for (BIC lower by "
@@ -354,6 +344,40 @@ def criterion(
     n_parameters = shared + own * len(result.records)
     innovations = innovation_criterion([own.residuals for own in result.records])
     return innovations + n_parameters * math.log(len(result.measured))
+
+
+def _more_terms(
+    record: TimeRecord | Sequence[TimeRecord],
+    result: TransferFunctionResult | MultiInputResult,
+    n_zeros: int | Sequence[int],
+    offered: Sequence[Offer],
+    options: Mapping[str, Any],
+) -> tuple[Offer | None, float]:
+    """Return the structure to which terms lead one after the other, each lowering the criterion, and by how much."""
+    present = criterion(result, options["has_offset"], options["has_ramp"])
+    best, gain, terms = None, 0.0, _terms(options)
+    while True:
+        before = gain
+        for offer in offered:
+            more = np.subtract(_terms(offer.options), terms)
+            if np.sum(np.abs(more)) != 1 or np.any(more < 0):
+                continue
+            try:
+                other = estimated(record, offer.n_poles, n_zeros, **offer.options, is_compared=True)
+            except EstimationError:
+                continue
+            lower = present - criterion(other, offer.options["has_offset"], offer.options["has_ramp"])
+            if len(other.measured) == len(result.measured) and other.converged and lower > gain:
+                best, gain = offer, lower
+                if not leaves_doubt(other):
+                    return best, gain
+        if gain == before or best is None:
+            return best, gain
+        terms = _terms(best.options)
+
+
+def _terms(options: Mapping[str, Any]) -> tuple[int, ...]:
+    return int(options["n_integrators"]), int(options["has_offset"]), int(options["has_ramp"])
 
 
 STRONG = 6.0  # difference of BIC, twice the logarithm of the odds: strong evidence (Kass and Raftery 1995)
@@ -457,95 +481,42 @@ def estimated(
     n_integrators: int = 0,
     n_starts: int = FINALISTS + 1,
     inside: Sequence[TransferFunctionModel | MultiInputModel] = (),
+    is_compared: bool = False,
 ) -> TransferFunctionResult | MultiInputResult:
     """Estimate as ``estimate_transfer_function`` does, without a look for terms that the structure lacks.
 
-    ``inside`` are what structures inside this one ended at: with them, those are not estimated again.
+    ``inside`` are what structures inside this one ended at: the fit begins there, too. ``is_compared`` says that
+    only the criterion counts: then nothing is said of the records.
     """
-    if method not in METHODS:
-        raise EstimationError(f"method is {method!r}; expected one of {', '.join(METHODS)}")
     records = require_records(record)
-    first = records[0]
-    require_whole_number("n_starts", n_starts, 1)
-    require_whole_number("n_integrators", n_integrators, 0, _MAX_INTEGRATORS)
-    if cutoff is not None and not (math.isfinite(cutoff) and cutoff > 0.0):
-        raise EstimationError(
-            f"cutoff is {cutoff}; expected a frequency > 0 in rad/s, or None for a portfolio"
-        )
-    if output_name is None and len(first.outputs) > 1:
-        raise EstimationError(
-            f"record {first.name!r} has {len(first.outputs)} outputs; say which one by its name"
-        )
-    output_name = (first.outputs[0] if output_name is None else first.output(output_name)).name
-    several = isinstance(n_zeros, Sequence) and not isinstance(n_zeros, str)
-    if several:
-        if input_name is not None:
-            raise EstimationError(
-                "input_name goes with one number of zeros; a sequence of them takes all inputs"
-            )
-        drives = [drive.name for drive in first.inputs]
-    elif input_name is None and len(first.inputs) > 1:
-        raise EstimationError(
-            f"record {first.name!r} has {len(first.inputs)} inputs; say which one by its name, or give one "
-            "number of zeros for each"
-        )
-    else:
-        drives = [(first.inputs[0] if input_name is None else first.input(input_name)).name]
-    zeros = one_each("n_zeros", n_zeros, drives)
-    own_poles = isinstance(n_poles, Sequence) and not isinstance(n_poles, str)
-    poles = one_each("n_poles", n_poles, drives)
-    for n, m in zip(poles, zeros, strict=True):
-        require_whole_number("n_poles", n, 0)
-        require_whole_number("n_zeros", m, 0)
-        if n == 0 and n_integrators:
-            raise EstimationError(
-                f"0 poles beside {n_integrators} at zero; expected n_poles of at least 1, which are those to be "
-                "estimated. Without integrators, n_poles=1 finds such a pole near zero, with its deviation; the gain "
-                "of an integrator alone is the slope of the output over the input's integral (numpy.polyfit)"
-            )
-        if not 1 <= n <= _MAX_POLES or not 0 <= m <= n + n_integrators:
-            raise EstimationError(
-                f"{n} poles and {m} zeros; expected 1 to {_MAX_POLES} poles and no more zeros than poles "
-                "(beyond that use the additive modal form: identify())"
-            )
-    delays = [delay_prior(value) for value in one_each("delay", delay, drives)]
-    if any(prior.is_free for prior in delays) and method in ("srivc", "ivsvf", "lssvf"):
+    _require_settings(method, n_starts, cutoff)
+    asked = _Structure.of(
+        records[0], n_poles, n_zeros, delay, input_name, output_name, n_integrators, (has_offset, has_ramp)
+    )
+    if any(prior.is_free for prior in asked.delays) and method in ("srivc", "ivsvf", "lssvf"):
         raise EstimationError(
             f"method {method!r} takes delays as given and one is to be estimated; use 'auto', 'output_error' "
             "or 'rivc'"
         )
-    blocks = list(range(len(drives))) if own_poles else [0] * len(drives)
-    orders = tuple(poles) if own_poles else (poles[0],)
 
     def fit(seen: list[TimeRecord]) -> TransferFunctionResult | MultiInputResult:
-        for one in seen:
-            for name, prior in zip(drives, delays, strict=True):
-                require_arrival(one.input(name), prior.mean, one.output(output_name))
-        if not has_free_response:
-            for name in drives:
-                require_excitation(seen, name)
-
-        still: list[OutputErrorState] = []
+        asked.require_data(seen, is_moving=bool(has_free_response))
+        still: list[Place] = []
 
         def attempt(is_moving: bool) -> tuple[OutputErrorProblem, Optimum]:
-            experiments = [
-                RecordShare.of(one, output_name, drives, zeros, blocks, delays, n_integrators, is_moving)
-                for one in seen
-            ]
-            nuisances = Nuisances(has_offset, has_ramp, is_moving).with_integrators(n_integrators)
-            problem = OutputErrorProblem(experiments, orders, nuisances)
-            if len(orders) > 1:
+            problem = asked.problem(seen, is_moving)
+            if len(asked.orders) > 1:
                 return estimate_additive(problem, method, cutoff)
-            known = [_ended(model, delays) for model in inside]
+            known = [_ended(model, asked.delays) for model in inside]
             solved, found = estimate_denominator(
                 problem,
                 method,
                 cutoff,
                 n_starts - 1,
                 [*still, *known],
-                looks_inside=n_starts > FINALISTS and not inside,
+                looks_elsewhere=n_starts > FINALISTS and not inside,
             )
-            still.append(found.state)
+            still.append(Place.of(found.state))
             return solved, found
 
         (problem, optimum), motion = with_initial_motion(
@@ -555,29 +526,186 @@ def estimated(
             problem, optimum = under_noise_as_it_is(problem, optimum, method)
         elif method == "rivc" or (len(seen) > 1 and method in ("white", "srivc")):
             problem, optimum = refine_with_noise_model(problem, optimum, method, as_it_is=method == "rivc")
-        result = _result(problem, optimum, method, n_integrators, output_name, several)
+        result = _result(problem, optimum, method, n_integrators, asked.output_name, asked.is_several)
         return replace(result, initial_motion=motion, warnings=(*motion.warnings, *result.warnings))
 
-    records, gaps = split_at_gaps(records, 3 * (sum(poles) + 2))
-    records, repeated = without_repeated(records, [output_name])
-    result, clipped = without_clipped(records, [output_name], fit, _prediction)
-    said = repeated + ((clipped,) if clipped else ()) + tuple(_input_noise_warnings(records, drives, result))
-    for one in records:
-        said += damage_warnings([one.output(output_name)], [one.input(name) for name in drives])
-    if len(drives) == 1:
-        said += tuple(_input_misfits(records, drives[0], result))
-        if not Whiteness.of(result.residuals).is_white:
-            pairs = [([one.output(output_name)], one.input(drives[0])) for one in records]
-            said += tuple(text for pair in pairs for text in clocks_of_record(*pair))
+    records, gaps = split_at_gaps(records, 3 * (sum(asked.poles) + 2))
+    records, repeated = without_repeated(records, [asked.output_name])
+    result, clipped = without_clipped(records, [asked.output_name], fit, _prediction)
+    if is_compared:
+        return result
+    said = (*repeated, *((clipped,) if clipped else ()), *_said_of_records(records, asked, result))
     return replace(result, warnings=gaps + result.warnings + said) if gaps or said else result
 
 
-def _ended(model: TransferFunctionModel | MultiInputModel, delays: Sequence[Prior]) -> KnownInside:
+def _require_settings(method: str, n_starts: int, cutoff: float | None) -> None:
+    """Refuse settings that no record could make sense of."""
+    if method not in METHODS:
+        raise EstimationError(f"method is {method!r}; expected one of {', '.join(METHODS)}")
+    require_whole_number("n_starts", n_starts, 1)
+    if cutoff is not None and not (math.isfinite(cutoff) and cutoff > 0.0):
+        raise EstimationError(
+            f"cutoff is {cutoff}; expected a frequency > 0 in rad/s, or None for a portfolio"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class _Structure:
+    """What is to be estimated: from which inputs to which output, with what degrees, delays and other terms.
+
+    Attributes
+    ----------
+    drives : tuple of str -- the inputs' names
+    output_name : str
+    poles, zeros : tuple of int -- of every input's path
+    has_own_poles : bool -- whether every input has a denominator of its own
+    delays : tuple of Prior -- of every input
+    n_integrators : int
+    drifts : tuple of bool -- whether there is an offset, and a ramp
+    is_several : bool -- whether the result is one of several inputs
+    """
+
+    drives: tuple[str, ...]
+    output_name: str
+    poles: tuple[int, ...]
+    zeros: tuple[int, ...]
+    has_own_poles: bool
+    delays: tuple[Prior, ...]
+    n_integrators: int
+    drifts: tuple[bool, bool]
+    is_several: bool
+
+    @staticmethod
+    def of(
+        record: TimeRecord,
+        n_poles: int | Sequence[int],
+        n_zeros: int | Sequence[int],
+        delay: DelayLike | Sequence[DelayLike],
+        input_name: str | None,
+        output_name: str | None,
+        n_integrators: int,
+        drifts: tuple[bool, bool],
+    ) -> _Structure:
+        """Take the arguments of ``estimate_transfer_function`` for a record.
+
+        Raises
+        ------
+        EstimationError
+            Signals that are not told apart, or impossible degrees.
+        """
+        require_whole_number("n_integrators", n_integrators, 0, _MAX_INTEGRATORS)
+        if output_name is None and len(record.outputs) > 1:
+            raise EstimationError(
+                f"record {record.name!r} has {len(record.outputs)} outputs; say which one by its name"
+            )
+        output = record.outputs[0] if output_name is None else record.output(output_name)
+        is_several = isinstance(n_zeros, Sequence) and not isinstance(n_zeros, str)
+        drives = _drives(record, input_name, is_several)
+        zeros, poles = one_each("n_zeros", n_zeros, drives), one_each("n_poles", n_poles, drives)
+        for n, m in zip(poles, zeros, strict=True):
+            _require_degrees(n, m, n_integrators)
+        return _Structure(
+            tuple(drives),
+            output.name,
+            tuple(poles),
+            tuple(zeros),
+            isinstance(n_poles, Sequence) and not isinstance(n_poles, str),
+            tuple(delay_prior(value) for value in one_each("delay", delay, drives)),
+            n_integrators,
+            drifts,
+            is_several,
+        )
+
+    @property
+    def orders(self) -> tuple[int, ...]:
+        """Degrees of the denominators."""
+        return self.poles if self.has_own_poles else self.poles[:1]
+
+    def require_data(self, records: Sequence[TimeRecord], is_moving: bool) -> None:
+        """Refuse records whose inputs do not reach the output, or rest where nothing else moves it."""
+        for one in records:
+            for name, prior in zip(self.drives, self.delays, strict=True):
+                require_arrival(one.input(name), prior.mean, one.output(self.output_name))
+        if not is_moving:
+            for name in self.drives:
+                require_excitation(records, name)
+
+    def problem(self, records: Sequence[TimeRecord], is_moving: bool) -> OutputErrorProblem:
+        """Return the likelihood of records that begin in motion or do not."""
+        blocks = list(range(len(self.drives))) if self.has_own_poles else [0] * len(self.drives)
+        experiments = [
+            RecordShare.of(
+                one,
+                self.output_name,
+                self.drives,
+                self.zeros,
+                blocks,
+                self.delays,
+                self.n_integrators,
+                is_moving,
+            )
+            for one in records
+        ]
+        nuisances = Nuisances(*self.drifts, is_moving).with_integrators(self.n_integrators)
+        return OutputErrorProblem(experiments, self.orders, nuisances)
+
+
+def _drives(record: TimeRecord, input_name: str | None, is_several: bool) -> list[str]:
+    """Return the names of the inputs that drive the output."""
+    if is_several:
+        if input_name is not None:
+            raise EstimationError(
+                "input_name goes with one number of zeros; a sequence of them takes all inputs"
+            )
+        return [drive.name for drive in record.inputs]
+    if input_name is None and len(record.inputs) > 1:
+        raise EstimationError(
+            f"record {record.name!r} has {len(record.inputs)} inputs; say which one by its name, or give one "
+            "number of zeros for each"
+        )
+    return [(record.inputs[0] if input_name is None else record.input(input_name)).name]
+
+
+def _require_degrees(n: int, m: int, n_integrators: int) -> None:
+    """Refuse degrees of denominator and numerator that are none, or too high."""
+    require_whole_number("n_poles", n, 0)
+    require_whole_number("n_zeros", m, 0)
+    if n == 0 and n_integrators:
+        raise EstimationError(
+            f"0 poles beside {n_integrators} at zero; expected n_poles of at least 1, which are those to be "
+            "estimated. Without integrators, n_poles=1 finds such a pole near zero, with its deviation; the gain "
+            "of an integrator alone is the slope of the output over the input's integral (numpy.polyfit)"
+        )
+    if not 1 <= n <= _MAX_POLES or not 0 <= m <= n + n_integrators:
+        raise EstimationError(
+            f"{n} poles and {m} zeros; expected 1 to {_MAX_POLES} poles and no more zeros than poles "
+            "(beyond that use the additive modal form: identify())"
+        )
+
+
+def _said_of_records(
+    records: Sequence[TimeRecord], asked: _Structure, result: TransferFunctionResult | MultiInputResult
+) -> Iterator[str]:
+    """Yield what must be known of the records and of what an estimate leaves of them."""
+    yield from _input_noise_warnings(records, asked.drives, result)
+    pairs = [([one.output(asked.output_name)], [one.input(name) for name in asked.drives]) for one in records]
+    for outputs, drives in pairs:
+        yield from damage_warnings(outputs, drives)
+    if len(asked.drives) > 1:
+        return
+    yield from _input_misfits(records, asked.drives[0], result)
+    if not Whiteness.of(result.residuals).is_white:
+        for outputs, (drive,) in pairs:
+            yield from clocks_of_record(outputs, drive)
+
+
+def _ended(model: TransferFunctionModel | MultiInputModel, delays: Sequence[Prior]) -> Place:
     """Return where a model says that its structure ended: poles, and the delays that are free."""
     paths = paths_of(model)
     own = paths[0].denominator
+    poles = upper_roots(own[: len(own) - paths[0].n_integrators])
     free = [path.delay for path, prior in zip(paths, delays, strict=True) if prior.is_free]
-    return KnownInside.of(own[: len(own) - paths[0].n_integrators], free)
+    return Place(poles, np.array(free))
 
 
 def _prediction(

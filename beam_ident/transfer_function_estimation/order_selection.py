@@ -14,6 +14,7 @@ Where the best one leaves doubts, structures with integrators, an offset or a dr
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -169,96 +170,125 @@ def select_transfer_function(
         An empty range, no structure that passes the gates, or no cluster where one was named.
     """
     records, given = require_records(record), dict(options)
-    if not isinstance(n_poles, Iterable) or not (n_zeros is None or isinstance(n_zeros, Iterable)):
-        raise EstimationError(
-            f"n_poles is {n_poles!r} and n_zeros {n_zeros!r}; expected ranges or lists to choose from, as "
-            "range(1, 7) (estimate_transfer_function() takes one number of each)"
-        )
-    pairs = None if degrees is None else [(n, m) for n, m in degrees]
-    if pairs is not None:
-        n_poles, n_zeros = ([pair[k] for pair in pairs] for k in range(2))
-    zeros = None if n_zeros is None else list(n_zeros)
-    poles = list(n_poles)
-    for name, own in (("n_poles", poles), ("n_zeros", zeros or [])):
-        for degree in own:
-            require_whole_number(f"a degree in {name}", degree, 0)
     n_inputs = 1 if options.get("input_name") is not None else len(records[0].inputs)
-    structures: list[Degrees] = [
-        (n, m if n_inputs == 1 else (m,) * n_inputs)
-        for n, m in (
-            [(n, m) for n in poles for m in (range(n) if zeros is None else zeros)]
-            if pairs is None
-            else pairs
-        )
-        if 0 <= m <= n
-    ]
-    if not structures:
-        raise EstimationError(
-            "no structure to try; give at least one number of poles with no more zeros than poles"
-        )
-    is_automatic = options.get("method", "auto") == "auto"
-    may_offer = "n_integrators" not in options
+    structures, zeros = _asked_for(n_poles, n_zeros, degrees, n_inputs)
     asks = options.get("has_free_response") is None
     if asks:
         for drive in records[0].inputs:
             if options.get("input_name") in (None, drive.name):
                 require_excitation(records, drive.name)
-    options |= {"has_free_response": False} if asks else {}
-    plain = {"method": "white"} if is_automatic else {}
-    results = _all(records, structures, options | plain, n_workers, scheduler, progress, is_automatic)
-    motion = _initial_motion(results) if asks else InitialMotion()
-    if motion.is_estimated:
-        options["has_free_response"] = True
-        results = _all(records, structures, options | plain, n_workers, scheduler, progress, is_automatic)
-    if is_automatic:
-        results = [r if isinstance(r, str) else replace(r, method="auto") for r in results]
-        if _has_noise_of_its_own(results):
-            # Under white noise BIC would pay for poles that only follow the noise: every structure has it as it is.
-            results = _all(records, structures, options, n_workers, scheduler, progress)
+    results, options, motion = _all_under_their_noise(
+        records, structures, options, n_workers, scheduler, progress
+    )
     if n_inputs > 1:
         structures, results = _with_own_degrees(records, structures, results, options, zeros)
     entries = [_entry(n, m, outcome, options) for (n, m), outcome in zip(structures, results, strict=True)]
     offered = False
-    if may_offer:
+    if "n_integrators" not in options:
         entries, results, offered = _with_offers(records, structures, results, entries, options, asks)
-    passed = [k for k, entry in enumerate(entries) if not entry.refused_because]
-    if not passed and zeros is None:
-        # What answers at once, as an acceleration under a force, has as many zeros as poles.
-        at_once = [(n, n) for n in poles]
-        try:
-            other = select_transfer_function(records, n_workers=n_workers, degrees=at_once, **given)
-        except EstimationError:
-            pass
-        else:
-            return replace(other, table=_ordered([*other.table, *entries]))
-    if not passed:
+    if all(entry.refused_because for entry in entries):
+        if zeros is None:
+            # What answers at once, as an acceleration under a force, has as many zeros as poles.
+            at_once = sorted({(n, n) for n, _ in structures})
+            with contextlib.suppress(EstimationError):
+                other = select_transfer_function(records, n_workers=n_workers, degrees=at_once, **given)
+                return replace(other, table=_ordered([*other.table, *entries]))
         reasons = "; ".join(f"{e.n_poles}/{e.n_zeros}: {e.refused_because}" for e in entries[:4])
         raise EstimationError(
             f"none of {len(entries)} structures passes the gates ({reasons}). Excite more, or record longer"
         )
-    best = min(passed, key=lambda k: entries[k].bic)
-    needed = _needed(entries, results, best)
-    said = ""
-    if needed is not None:
-        said = _NEEDED.format(entries[needed], entries[best])
-        best = needed
-        entries[best] = replace(entries[best], refused_because="")
-    elif _is_far_better(refused := min(entries, key=_bic_of_converged), entries[best]):
-        said = _LEFT_BEHIND.format(refused, entries[best])
-    entries[best] = replace(entries[best], is_chosen=True)
+    best, said = _best(entries, results)
+    entries[best] = replace(entries[best], refused_because="", is_chosen=True)
     chosen = results[best]
     assert not isinstance(chosen, str)
+    if offered and (terms := _terms(entries[best], options)):
+        said = [f"Chosen with {terms}, which BIC prefers.", *said]
+    own = chosen.initial_motion
+    if motion.is_estimated and own.is_estimated and math.isnan(own.p_value):
+        chosen = replace(chosen, initial_motion=motion)
+        said = [*motion.warnings, *said]
     if said:
-        chosen = replace(chosen, warnings=(said, *chosen.warnings))
-    if offered and (said := _terms(entries[best], options)):
-        chosen = replace(chosen, warnings=(f"Chosen with {said}, which BIC prefers.", *chosen.warnings))
-    if (
-        motion.is_estimated
-        and chosen.initial_motion.is_estimated
-        and math.isnan(chosen.initial_motion.p_value)
-    ):
-        chosen = replace(chosen, initial_motion=motion, warnings=(*motion.warnings, *chosen.warnings))
+        chosen = replace(chosen, warnings=(*said, *chosen.warnings))
     return OrderSelection(_ordered(entries), chosen)
+
+
+def _asked_for(
+    n_poles: Iterable[int],
+    n_zeros: Iterable[int] | None,
+    degrees: Iterable[tuple[int, int]] | None,
+    n_inputs: int,
+) -> tuple[list[Degrees], list[int] | None]:
+    """Return the structures to be tried, and the degrees of numerators among which to choose, None for all.
+
+    Raises
+    ------
+    EstimationError
+        What is no range of whole numbers, or an empty one.
+    """
+    if not isinstance(n_poles, Iterable) or not (n_zeros is None or isinstance(n_zeros, Iterable)):
+        raise EstimationError(
+            f"n_poles is {n_poles!r} and n_zeros {n_zeros!r}; expected ranges or lists to choose from, as "
+            "range(1, 7) (estimate_transfer_function() takes one number of each)"
+        )
+    if degrees is not None:
+        pairs = [(n, m) for n, m in degrees]
+        n_poles, n_zeros = ([pair[k] for pair in pairs] for k in range(2))
+    poles, zeros = list(n_poles), None if n_zeros is None else list(n_zeros)
+    for name, own in (("n_poles", poles), ("n_zeros", zeros or [])):
+        for degree in own:
+            require_whole_number(f"a degree in {name}", degree, 0)
+    if degrees is None:
+        pairs = [(n, m) for n in poles for m in (range(n) if zeros is None else zeros)]
+    structures: list[Degrees] = [
+        (n, m if n_inputs == 1 else (m,) * n_inputs) for n, m in pairs if 0 <= m <= n
+    ]
+    if not structures:
+        raise EstimationError(
+            "no structure to try; give at least one number of poles with no more zeros than poles"
+        )
+    return structures, zeros
+
+
+def _all_under_their_noise(
+    records: Sequence[TimeRecord],
+    structures: list[Degrees],
+    options: dict[str, Any],
+    n_workers: int,
+    scheduler: str | None,
+    progress: Progress | None,
+) -> tuple[list[Outcome], dict[str, Any], InitialMotion]:
+    """Return the estimates of all structures, with which options, and whether the record begins in motion."""
+    is_automatic, asks = options.get("method", "auto") == "auto", options.get("has_free_response") is None
+    plain = {"method": "white"} if is_automatic else {}
+
+    def under(options: dict[str, Any], may_follow: bool) -> list[Outcome]:
+        return _all(records, structures, options, n_workers, scheduler, progress, may_follow)
+
+    options = {**options, **({"has_free_response": False} if asks else {})}
+    results = under(options | plain, is_automatic)
+    motion = _initial_motion(results) if asks else InitialMotion()
+    if motion.is_estimated:
+        options["has_free_response"] = True
+        results = under(options | plain, is_automatic)
+    if is_automatic:
+        results = [r if isinstance(r, str) else replace(r, method="auto") for r in results]
+        if _has_noise_of_its_own(results):
+            # Under white noise BIC would pay for poles that only follow the noise: every structure has it as it is.
+            results = under(options, False)
+    return results, options, motion
+
+
+def _best(entries: Sequence[StructureEntry], results: Sequence[Outcome]) -> tuple[int, list[str]]:
+    """Return which structure is chosen, and what must be known of that."""
+    passed = [k for k, entry in enumerate(entries) if not entry.refused_because]
+    best = min(passed, key=lambda k: entries[k].bic)
+    needed = _needed(entries, results, best)
+    if needed is not None:
+        return needed, [_NEEDED.format(entries[needed], entries[best])]
+    refused = min(entries, key=_bic_of_converged)
+    if _is_far_better(refused, entries[best]):
+        return best, [_LEFT_BEHIND.format(refused, entries[best])]
+    return best, []
 
 
 def _ordered(entries: Sequence[StructureEntry]) -> tuple[StructureEntry, ...]:

@@ -44,6 +44,9 @@ _MIN_SAMPLES = 20
 _NOISE_FLOOR = 1e-11
 _MAX_POLE = 1e4  # of the Nyquist frequency
 _MIN_DAMPING = 1e-9  # nearer to the imaginary axis a pole is on it but for rounding
+_MIN_POLE = (
+    _MIN_DAMPING  # of a coefficient, in units of the scale: below it a pole is at zero but for rounding
+)
 _MAX_ADVANCE = 1.0  # sampling periods: an estimated delay may come out this much below zero
 _LAGS = 25  # samples for which an input is looked for in residuals
 
@@ -316,50 +319,13 @@ class OutputErrorProblem:
         order = (self.orders[self.paths[paths[0]].block],)
         return OutputErrorProblem(experiments, order, self.nuisances)
 
-    @property
-    def degrees(self) -> tuple[object, ...]:
-        """What tells this problem from others of the same records: degrees, nuisances, and which delays are known."""
-        zeros = tuple(path.n_zeros for path in self.paths)
-        return self.orders, zeros, self.nuisances, tuple(self.free_delays)
-
-    def inside(self) -> dict[str, OutputErrorProblem]:
-        """Return the problems of one denominator inside this one, by what each of them lacks.
-
-        That is a nuisance, the delays, a zero, a pole, or one of each.
-        """
-        (order,) = self.orders
-        zeros = [path.n_zeros for path in self.paths]
-        own = self.nuisances
-        smaller = {
-            name: (order, 0, replace(own, **{name: False}))
-            for name, is_there in vars(own).items()
-            if is_there
-        }
-        if self.free_delays:
-            smaller["delay"] = order, 0, own
-        if min(zeros) > 0:
-            smaller["zero"] = order, 1, own
-        if min(zeros) > 0 and order > 1:
-            smaller["pole and zero"] = order - 1, 1, own
-        if 1 < order > max(zeros):
-            smaller["pole"] = order - 1, 0, own
-        result = {}
-        for name, (n_poles, fewer, nuisances) in smaller.items():
-            paths = [replace(path, n_zeros=path.n_zeros - fewer) for path in self.paths]
-            if name == "delay":
-                paths = [replace(path, delay=Prior(path.delay.mean)) for path in paths]
-            shares = [
-                replace(
-                    share,
-                    paths=tuple(
-                        replace(path, n_zeros=new.n_zeros, delay=new.delay)
-                        for path, new in zip(share.paths, paths, strict=True)
-                    ),
-                )
-                for share in self.experiments
-            ]
-            result[name] = OutputErrorProblem(shares, (n_poles,), nuisances, self.noise)
-        return result
+    def at_mean_delays(self) -> OutputErrorProblem:
+        """Return the problem with all delays known to be their priors' means."""
+        shares = [
+            replace(own, paths=tuple(replace(path, delay=Prior(path.delay.mean)) for path in own.paths))
+            for own in self.experiments
+        ]
+        return OutputErrorProblem(shares, self.orders, self.nuisances, self.noise)
 
     def delays(self, theta: FloatArray) -> FloatArray:
         """Return the delay of every path [s]."""
@@ -557,10 +523,22 @@ class OutputErrorProblem:
         return left_out, LinearSolution.of(present), self.unweighed_residuals(state), self.values
 
     def limited(self, theta: FloatArray, step: FloatArray) -> FloatArray:
-        """Return where a step leads; a delay moves by one sampling period at most."""
-        step = step.copy()
-        step[self.n_a :] = np.clip(step[self.n_a :], -self.period, self.period)
-        return np.asarray(theta + step)
+        """Return where a step leads; a delay moves by one sampling period at most.
+
+        Coefficients of a stable denominator are positive. At that bound a pole stands at zero, as where an integrator
+        or an offset lacks, and the others move on without it.
+        """
+        candidate = theta + step
+        candidate[self.n_a :] = theta[self.n_a :] + np.clip(step[self.n_a :], -self.period, self.period)
+        own = theta[: self.n_a]
+        candidate[: self.n_a] = np.maximum(candidate[: self.n_a], np.minimum(own, _MIN_POLE))
+        return np.asarray(candidate)
+
+    def spread(self, state: OutputErrorState) -> float:
+        """Return the standard deviation of the residuals as the noise model sees them, free samples counted."""
+        n_all = len(state.theta) + len(state.coefficients)
+        power = float(state.residuals @ state.residuals) / max(len(self.values) - n_all, 1)
+        return math.sqrt(power * (1.0 if self.noise is None else self.noise.inflation))
 
     def covariance(self, state: OutputErrorState, also: FloatArray | None = None) -> JointCovariance:
         """Return the joint covariance of theta and the linear coefficients at an optimum.
@@ -571,10 +549,7 @@ class OutputErrorProblem:
         also : ndarray or None, shape (n_theta, n_theta) -- information on theta from elsewhere
         """
         assert state.solution is not None
-        n_all = len(state.theta) + len(state.coefficients)
-        rss = float(state.residuals @ state.residuals)
-        variance = rss / max(len(self.values) - n_all, 1)
-        variance *= 1.0 if self.noise is None else self.noise.inflation
+        variance = self.spread(state) ** 2
         jacobian = self.jacobian(state)
         information = self._information(state, jacobian, variance)
         if also is not None:

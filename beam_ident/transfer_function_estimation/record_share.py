@@ -19,6 +19,7 @@ from beam_ident.data.argument_checks import require_input, require_output
 from beam_ident.data.prior import Prior
 from beam_ident.data.records import InputSignal, OutputSignal, TimeRecord
 from beam_ident.numerics.piecewise import Instants, PiecewisePolynomial
+from beam_ident.numerics.pole_response import PoleResponses
 from beam_ident.numerics.rational_response import RationalResponse
 
 
@@ -97,6 +98,27 @@ class Path:
         """Return the responses of a denominator to this input at output stamps."""
         instants = self._instants(times, exposure_s, delay)
         return RationalResponse(upper, scale, self.signal, self.integral, instants, squares)
+
+    def pole_responses(
+        self, poles: ComplexArray, times: FloatArray, exposure_s: float, delay: float, n_direct: int
+    ) -> tuple[ComplexArray, FloatArray]:
+        """Return the responses of single poles, and the input itself with its derivatives, late, at output stamps.
+
+        Parameters
+        ----------
+        poles : ndarray, complex, shape (n_poles,) -- [rad/s]
+        times : ndarray, shape (n_times,)
+        exposure_s, delay : float -- [s]
+        n_direct : int -- how many of the input and its derivatives
+
+        Returns
+        -------
+        responses, direct : ndarray, shape (n_poles, n_times) and (n_times, n_direct)
+        """
+        instants = self._instants(times, exposure_s, delay)
+        responses = PoleResponses(poles, self.signal, gradients=False).sample(instants).values
+        direct = [instants.mean(self.signal, order)[0][:, None] for order in range(n_direct)]
+        return responses, np.concatenate([np.empty((len(times), 0)), *direct], axis=1)
 
     def seen(self, times: FloatArray, exposure_s: float, delay: float) -> FloatArray:
         """Return the input itself, late, at output stamps."""

@@ -5,9 +5,8 @@ state-variable-filter least squares (LSSVF) over a portfolio of cut-offs with in
 variables behind the best of them (IVSVF); then the simplified refined instrumental variable
 (SRIVC; Young and Jakeman 1980), and Levenberg-Marquardt on the output error with the same exact
 gradients to finish.  Residuals that look like anything but noise may mean a local optimum:
-then the other starts have their turn, and the lowest cost wins.  A structure that holds another must not end in a
-worse optimum: where it has not converged, a pole is hardly known, or the input is still seen in the residuals, the
-structures inside it are estimated, too.
+then the other starts have their turn, and the lowest cost wins.  Where the winner has not converged, a pole is hardly
+known, or the input is still seen in the residuals, poles are exchanged for others (``pole_exchange``).
 
 Instruments and gradients are exact responses of ``s^i B / A^2`` to the held input, so
 that SRIVC's fixed point is the stationary point of the output-error cost; the
@@ -20,9 +19,9 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -31,11 +30,11 @@ from beam_ident.arrays import ComplexArray, FloatArray
 from beam_ident.errors import EstimationError
 from beam_ident.noise.scores import ScoreTest, Whiteness
 from beam_ident.numerics.levenberg_marquardt import minimise
-from beam_ident.numerics.rational_response import full_roots, upper_roots
 from beam_ident.numerics.root_uncertainty import root_covariances
 from beam_ident.subspace.po_moesp import Stretch, subspace_poles
 from beam_ident.transfer_function_estimation.delay_search import delay_candidates
 from beam_ident.transfer_function_estimation.output_error import OutputErrorProblem, OutputErrorState
+from beam_ident.transfer_function_estimation.pole_exchange import Place, completed, exchanged
 from beam_ident.transfer_function_estimation.state_variable_filter import (
     filter_coefficients,
     filtered_simulation,
@@ -57,11 +56,6 @@ WHITE = 0.01  # level of the whiteness test below which residuals do not look li
 _SAMPLES_BESIDE = 4  # half samples beyond a period of the fastest mode in which other delays are tried
 _MAX_STEPS_BESIDE = 40  # on each side
 _SHARPNESS = 0.01  # of a period, to which such a delay is found while the poles are kept
-_MOST_INSIDE = 100  # structures inside one, at most
-_MOST_SAMPLES_INSIDE = 200_000  # in all of them together: a bound on time
-_EXTRA_POLES = 10  # places tried for a pole that a smaller denominator lacks
-_BESIDE = 1.3  # from one such pole to the next
-_BEYOND = 1000.0  # of the Nyquist frequency: there a pole hardly shows
 _MAX_POLE_SD = 0.5  # of the pole's modulus
 _WORSE_BESIDE = 30.0  # log-likelihood that a refinement may still win over poles that are kept
 _NO_START = (
@@ -87,44 +81,6 @@ class Optimum:
     iterations: int
 
 
-class Inside(Protocol):
-    """Where a structure inside another one ended: its parameters, their unit of frequency, and its poles."""
-
-    @property
-    def theta(self) -> FloatArray:
-        """Coefficients of the denominator after the first, then delays [s]."""
-
-    @property
-    def scale(self) -> float:
-        """Unit of frequency [rad/s]."""
-
-    @property
-    def uppers(self) -> Sequence[ComplexArray]:
-        """Poles with imaginary part >= 0, in that unit."""
-
-    @property
-    def cost(self) -> float:
-        """Infinite where the point is not allowed."""
-
-
-@dataclass(frozen=True, eq=False)
-class KnownInside:
-    """Where a structure inside another one is known to end, without a problem of its own: see ``Inside``."""
-
-    theta: FloatArray
-    scale: float
-    uppers: tuple[ComplexArray, ...]
-    cost: float = 0.0  # that of an estimate, which is allowed
-
-    @staticmethod
-    def of(denominator: FloatArray, delays: Sequence[float]) -> KnownInside:
-        """Return it from a monic denominator without poles at zero, in descending powers, and free delays [s]."""
-        order = len(denominator) - 1
-        scale = float(abs(denominator[-1]) ** (1.0 / order))
-        own = denominator / scale ** np.arange(order + 1)
-        return KnownInside(np.concatenate([own[1:], delays]), scale, (upper_roots(own),))
-
-
 def portfolio(problem: OutputErrorProblem) -> list[float]:
     """Return cut-offs of the state-variable filter [rad/s] that span what the record can show."""
     # From two periods in the record to half the Nyquist frequency of the stamps.
@@ -137,8 +93,8 @@ def estimate_denominator(
     method: Method,
     cutoff: float | None = None,
     n_finalists: int = FINALISTS,
-    inside: Sequence[Inside] = (),
-    looks_inside: bool = True,
+    inside: Sequence[Place] = (),
+    looks_elsewhere: bool = True,
 ) -> tuple[OutputErrorProblem, Optimum]:
     """Estimate a problem of one denominator without a start.
 
@@ -149,10 +105,10 @@ def estimate_denominator(
     cutoff : float or None -- of the state-variable filter [rad/s]; None tries a portfolio
     n_finalists : int
         How many starts behind filters are refined while the residuals do not look like noise.
-    inside : sequence of Inside
+    inside : sequence of Place
         Where this denominator ended with fewer nuisances, or smaller ones did, as far as that is known.
-    looks_inside : bool
-        Whether the structures inside this one are estimated, too, where the optimum is not sure to be the best.
+    looks_elsewhere : bool
+        Whether other places of the poles are tried, where the optimum is not sure to be the best.
 
     Returns
     -------
@@ -182,11 +138,13 @@ def estimate_denominator(
     found = chain.run()
     if method in ("auto", "rivc", "white", "output_error"):
         found = chain.beyond(found, inside)
-        found = chain.beyond_smaller(found, {}) if looks_inside else found
+        found = chain.elsewhere(found) if looks_elsewhere else found
     return problem, found
 
 
-def refine(problem: OutputErrorProblem, state: OutputErrorState, method: Method) -> Optimum:
+def refine(
+    problem: OutputErrorProblem, state: OutputErrorState, method: Method, target: float = math.inf
+) -> Optimum:
     """Refine a state to a method's end: SRIVC's fixed point, or the output-error optimum.
 
     Parameters
@@ -194,6 +152,7 @@ def refine(problem: OutputErrorProblem, state: OutputErrorState, method: Method)
     problem : OutputErrorProblem -- in the state's unit of frequency
     state : OutputErrorState
     method : str
+    target : float -- cost that must be reached to be of use, as of ``minimise``
     """
     iterations = 0
     if method != "output_error":
@@ -201,7 +160,7 @@ def refine(problem: OutputErrorProblem, state: OutputErrorState, method: Method)
         if method == "srivc":
             return found
         state, iterations = found.state, found.iterations
-    minimum = minimise(problem, state, _LM_ITERATIONS)
+    minimum = minimise(problem, state, _LM_ITERATIONS, target)
     return Optimum(minimum.state, minimum.converged, minimum.reason, iterations + minimum.iterations)
 
 
@@ -262,24 +221,8 @@ def follow_inputs(problems: Sequence[OutputErrorProblem], states: Sequence[Outpu
     return ScoreTest.of([problem.followed_inputs(state) for problem, state in pairs]).p_value < WHITE
 
 
-def widened(problem: OutputErrorProblem, state: Inside) -> list[FloatArray]:
-    """Return what a structure inside a problem says as points of it, in the state's unit of frequency.
-
-    All that the smaller structure lacks leaves it as it was: a pole stands anywhere if a zero may stand beside it, or
-    so far out that it does not show; further ones stand beside it.
-    """
-    n = sum(len(full_roots(upper)) for upper in state.uppers)
-    coefficients, delays = state.theta[:n], state.theta[n:]
-    if len(delays) < len(problem.free_delays):
-        delays = np.array([problem.paths[k].delay.mean for k in problem.free_delays])
-    if n == problem.n_a:
-        return [np.concatenate([coefficients, delays])]
-    places = np.geomspace(2.0 * np.pi / problem.length, _BEYOND * problem.nyquist, _EXTRA_POLES) / state.scale
-    beside = _BESIDE ** np.arange(problem.n_a - n)
-    products = [
-        np.polymul(np.append(1.0, coefficients), np.real(np.poly(-place * beside)))[1:] for place in places
-    ]
-    return [np.concatenate([own, delays]) for own in products]
+def _place_of(found: Optimum) -> Place:
+    return Place.of(found.state)
 
 
 class _Chain:
@@ -295,6 +238,7 @@ class _Chain:
     ) -> None:
         self.problem, self.method, self.cutoffs, self.delays = problem, method, cutoffs, delays
         self.n_finalists = n_finalists
+        self.pool: list[ComplexArray] = []
 
     def run(self) -> Optimum:
         if self.method in ("lssvf", "ivsvf"):
@@ -304,7 +248,8 @@ class _Chain:
             return Optimum(starts[0], False, f"{self.method.upper()} takes one step", 1)
         best: Optimum | None = None
         for start in self.in_turn():
-            found = self._refined(start)
+            found = self._refined(start, math.inf if best is None else best.state.cost)
+            self.pool.append(found.state.uppers[0] * found.state.scale)
             if best is None or found.state.cost < best.state.cost:
                 best = found
             # White residuals: the optimum is not only local. Otherwise the next start has its turn.
@@ -320,32 +265,22 @@ class _Chain:
         """Return whether what an optimum leaves looks like noise."""
         return Whiteness.of(self.problem.standardised(found.state.residuals)).p_value > WHITE
 
-    def beyond_smaller(
-        self, found: Optimum, known: dict[tuple[object, ...], OutputErrorState | None]
-    ) -> Optimum:
-        """Return an optimum, or a better one from where structures inside this one end by the same chain.
+    def elsewhere(self, found: Optimum) -> Optimum:
+        """Return an optimum, or a better one that has some of its poles, or its delays, elsewhere.
 
-        They are estimated where the optimum may not be the best: it has not converged, some pole is hardly known, or
-        the input is still seen in what it leaves. The one without delays always is: a fit that has found a delay may
-        have found the wrong one of many.
+        Other poles are looked for where the optimum may not be the best: it has not converged, some pole is hardly
+        known, or the input is still seen in what it leaves. The structure without delays is always estimated: a fit
+        that has found a delay may have found the wrong one of many.
         """
         problem = self.problem
-        problem.scale = found.state.scale
         is_sure = found.converged and not self._is_doubtful(found)
-        most = min(_MOST_INSIDE, _MOST_SAMPLES_INSIDE // len(problem.values))
-        for name, smaller in problem.inside().items():
-            if is_sure and name != "delay":
-                continue
-            if smaller.degrees not in known and len(known) < most:
-                known[smaller.degrees] = None
-                delays = self.delays if smaller.free_delays else [np.empty(0)]
-                chain = _Chain(smaller, self.method, self.cutoffs, delays, self.n_finalists)
-                with contextlib.suppress(EstimationError):
-                    end = chain.run()
-                    known[smaller.degrees] = (end if is_sure else chain.beyond_smaller(end, known)).state
-            state = known.get(smaller.degrees)
-            found = self.beyond(found, [state] if state is not None else [])
-        return found
+        if problem.free_delays:
+            known = problem.at_mean_delays()
+            chain = _Chain(known, self.method, self.cutoffs, [np.empty(0)], self.n_finalists)
+            with contextlib.suppress(EstimationError):
+                end = chain.run()
+                found = self.beyond(found, [_place_of(end if is_sure else chain.elsewhere(end))])
+        return found if is_sure else exchanged([problem], found, _place_of, self._refined_at, self.pool)
 
     def _is_doubtful(self, found: Optimum) -> bool:
         """Return whether an optimum has poles that are hardly known, or leaves what follows the inputs."""
@@ -355,20 +290,21 @@ class _Chain:
             return True
         return not self.is_noise(found) and follow_inputs([problem], [state])
 
-    def beyond(self, found: Optimum, inside: Iterable[Inside]) -> Optimum:
-        """Return an optimum, or a better one from where a structure inside this one ended better than it.
+    def beyond(self, found: Optimum, inside: Sequence[Place]) -> Optimum:
+        """Return an optimum, or a better one from where a structure inside this one ended.
 
         A structure that holds another can do whatever that one does: it must not end in a worse optimum.
         """
-        for state in inside:
-            if not math.isfinite(state.cost):  # a point that is not allowed says nothing
-                continue
-            self.problem.scale = state.scale
-            points = [self.problem.state(theta) for theta in widened(self.problem, state)]
-            start = min(points, key=lambda own: own.cost)
-            if start.cost < found.state.cost:
-                found = min(found, self._refined(start), key=lambda own: own.state.cost)
+        for place in completed(self.problem, inside, self.pool):
+            found = min(found, self._refined_at(place, found.state.cost), key=lambda own: own.state.cost)
         return found
+
+    def _refined_at(self, place: Place, target: float) -> Optimum:
+        self.problem.scale = place.scale
+        start = self.problem.state(place.theta)
+        if not math.isfinite(start.cost):
+            return Optimum(start, False, "the starting point is not allowed", 0)
+        return self._refined(start, target)
 
     def _at_another_delay(self, found: Optimum, place: int) -> Optimum:
         """Return an optimum, or the better one that lies at another delay beside it.
@@ -478,6 +414,7 @@ class _Chain:
         ]
         states = []
         for poles in subspace_poles(stretches, problem.n_a):
+            self.pool.append(poles[poles.imag >= 0.0])
             # The geometric mean of the poles is the unit of frequency in which the coefficients stay near
             # one.
             problem.scale = float(np.exp(np.mean(np.log(np.maximum(np.abs(poles), 1e-9 * problem.nyquist)))))
@@ -485,7 +422,7 @@ class _Chain:
             states.append(problem.state(np.concatenate([coefficients, delays]), slopes=False))
         return [state for state in states if math.isfinite(state.cost)]
 
-    def _refined(self, start: OutputErrorState) -> Optimum:
+    def _refined(self, start: OutputErrorState, target: float = math.inf) -> Optimum:
         """Refine a start to the method's end, in the unit of frequency of its own poles."""
         problem = self.problem
         size = float(np.exp(np.mean(np.log(np.abs(start.responses[0].poles))))) * start.scale
@@ -496,4 +433,4 @@ class _Chain:
             # Poles so far apart that they are no point any more in their own unit.
             problem.scale = start.scale
             return Optimum(start, False, "the start cannot be refined", 0)
-        return refine(problem, moved, self.method)
+        return refine(problem, moved, self.method, target)

@@ -49,7 +49,8 @@ from beam_ros.bags.signals import (
 )
 from beam_ros.hub.contract import ClockSync
 from beam_ros.interfaces import graph
-from beam_ros.messages import SECOND_NS, BagTypes, read_json
+from beam_ros.messages import SECOND_NS, BagTypes, read_diagnostics, read_json
+from beam_ros.messages.health import Health
 from beam_ros.process.remote_paths import AnyPath, any_path
 
 _AnyIntake = TypeVar("_AnyIntake", bound=Intake[Any])
@@ -269,6 +270,10 @@ class Bag:
             return DisplacementIntake(self._types)
         if topic == "hub/clock_sync":
             return ClockIntake(self._types)
+        if topic == "/diagnostics":
+            return Intake(
+                graph.DIAGNOSTICS, message_decoder(self._types, graph.DIAGNOSTICS, read_diagnostics)
+            )
         return Intake(graph.STRING, message_decoder(self._types, graph.STRING, read_json))
 
     def _fill(self, intakes: dict[str, Intake[Any]]) -> None:
@@ -332,6 +337,13 @@ class Bag:
         """Return the newest recipe of the excitation, or None where none was recorded."""
         infos = self.texts("excitation/info")
         return infos[-1] if infos else None
+
+    def healths(self) -> tuple[Health, ...]:
+        """Return what the nodes said of their health; empty where nothing was recorded of it."""
+        if not self.count("/diagnostics"):
+            return ()
+        said = self._filled("/diagnostics", Intake, self._new_intake("/diagnostics")).items()
+        return tuple(one for message in said for one in message)
 
     def sequence_states(self) -> tuple[dict[str, Any], ...]:
         """Return what became of the sequences, in the order in which it was reported."""

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from beam_ros.bags.apparatus import MEASURED, Apparatus, apparatus_of
 from beam_ros.bags.errors import MissingTopicsError
 from beam_ros.bags.reading import Bag, TopicCount
 from beam_ros.bags.signals import HubSamples
@@ -76,6 +77,7 @@ class BagInfo:
     damage : tuple of str -- what is amiss with the file itself; ``beam recover`` says the same
     provenance : mapping of str to str -- how the recording came about, as far as it says so
     remark : str -- what was not looked at, and how it can be; empty where everything was
+    apparatus : Apparatus -- whether a beam was measured or simulated, and whether its date is one
     """
 
     path: AnyPath
@@ -92,6 +94,7 @@ class BagInfo:
     damage: tuple[str, ...] = ()
     provenance: Mapping[str, str] = field(default_factory=dict)
     remark: str = ""
+    apparatus: Apparatus = MEASURED
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain types."""
@@ -118,7 +121,7 @@ def summarise(bag: Bag) -> BagInfo:
     BagTruncatedError
         The file is damaged further on.
     """
-    texts = ("hub/sequence_state", "excitation/info")
+    texts = ("hub/sequence_state", "excitation/info", "/diagnostics")
     signals = []
     if bag.is_whole and isinstance(bag.path, RemotePath):
         bag.read(*texts)
@@ -132,6 +135,7 @@ def summarise(bag: Bag) -> BagInfo:
         syncs = bag.clock_syncs()
         remark = "" if bag.is_checked else "only a part was read, and no checksums but those of that part"
     states = {str(state.get("id")): str(state.get("state")) for state in bag.sequence_states()}
+    excitation = bag.excitation_info()
     return BagInfo(
         path=bag.path,
         storage=bag.storage,
@@ -143,10 +147,11 @@ def summarise(bag: Bag) -> BagInfo:
         signals=tuple(signals),
         clocks=summarise_clocks(syncs),
         sequences=tuple(f"{name}: {state}" for name, state in states.items()),
-        excitation=bag.excitation_info(),
+        excitation=excitation,
         damage=tuple(bag.damage()),
         provenance=bag.provenance(),
         remark=remark,
+        apparatus=apparatus_of(bag, excitation or {}),
     )
 
 

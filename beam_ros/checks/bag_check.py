@@ -24,11 +24,13 @@ from beam_ros.checks.signal_gates import (
     limit_gates,
     loss_gates,
     noise_gates,
+    place_gate,
     unit_gate,
 )
 from beam_ros.checks.stamp_gates import TimingCosts, clock_gates, jump_gate, order_gates, rate_gates
 from beam_ros.errors import ParameterFileError
 from beam_ros.excitation.recipes import recipe_of_rig
+from beam_ros.files.formats import is_column_file
 from beam_ros.offline.loading.described_rig import theoretical_modes
 from beam_ros.offline.loading.experiment import Experiment, load_experiment
 from beam_ros.offline.loading.options import FitOptions
@@ -110,6 +112,10 @@ def check_bag(path: AnyPath, rig: Rig | None = None, options: FitOptions | None 
     options = options or FitOptions()
     gates: list[Gate] = []
     try:
+        if is_column_file(path):
+            experiment = load_experiment(path, rig, options.structure, options)
+            gates.append(Gate("file", "passed", "every row has its time", "rows in the order of their times"))
+            return BagCheck(path, (*gates, *_gates(None, experiment, options)), experiment.notes)
         with Bag(path) as bag:
             damage = list(bag.damage())
             gates.append(_file_gate(damage, path))
@@ -135,11 +141,9 @@ def _file_gate(damage: list[str], path: AnyPath) -> Gate:
     return Gate("file", "passed", "whole", "a whole bag")
 
 
-def _gates(bag: Bag, experiment: Experiment, options: FitOptions) -> Iterator[Gate]:
-    records, rig, structure = experiment.records, experiment.rig, experiment.structure
+def _bag_gates(bag: Bag, experiment: Experiment, options: FitOptions, costs: TimingCosts) -> Iterator[Gate]:
+    """Yield the gates that look at the messages of a bag."""
     signals = options.signals
-    outputs = [own for record in records for own in record.outputs]
-    noise_sd = floors(outputs)
     named = [own.topic for own in (signals.drive, *signals.outputs) if own is not None]
     own_topics = [
         topic
@@ -151,9 +155,18 @@ def _gates(bag: Bag, experiment: Experiment, options: FitOptions) -> Iterator[Ga
         if is_used and bag.count(topic)
     ]
     topics = list(dict.fromkeys(find_topic(bag, topic)[0] for topic in (*own_topics, *named)))
-    yield from order_gates(bag, topics, records[0].start_ns)
+    yield from order_gates(bag, topics, experiment.record.start_ns)
     if signals.drive is None:
-        yield from clock_gates(bag, TimingCosts(outputs, noise_sd))
+        yield from clock_gates(bag, costs)
+
+
+def _gates(bag: Bag | None, experiment: Experiment, options: FitOptions) -> Iterator[Gate]:
+    records, rig, structure = experiment.records, experiment.rig, experiment.structure
+    signals = options.signals
+    outputs = [own for record in records for own in record.outputs]
+    noise_sd = floors(outputs)
+    if bag is not None:
+        yield from _bag_gates(bag, experiment, options, TimingCosts(outputs, noise_sd))
     yield jump_gate(records)
     yield from rate_gates(outputs, rig, not signals.outputs)
     of_metres = [noise_sd[own.name] for own in records[0].outputs if noise_sd[own.name] > 0.0]
@@ -163,6 +176,7 @@ def _gates(bag: Bag, experiment: Experiment, options: FitOptions) -> Iterator[Ga
         yield damage_gate(record)
     yield from noise_gates(outputs, noise_sd)
     yield unit_gate(records[-1], structure)
+    yield place_gate(records[0], rig, structure)
     yield from limit_gates(records[-1], rig)
     band = input_band(records[0], structure)
     yield from motion_gates(records[0], band)

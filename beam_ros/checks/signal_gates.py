@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from itertools import permutations
 
 import numpy as np
 
-from beam_ident import InputSignal, OutputSignal, TimeRecord
+from beam_ident import EstimationError, InputSignal, OutputSignal, TimeRecord
+from beam_ident.data.argument_checks import require_output
 from beam_ident.report.gates import Gate
 from beam_ident.sensing.damage import damage_warnings
 from beam_ident.sensing.noise_floor import noise_floor
@@ -17,6 +19,9 @@ from beam_ros.rig.rig import Rig
 _NAMED = 3
 _WIDER = 1.1  # times wider intervals are worth a word: a sixth of the samples is missing then
 _UNLIKELY = 200.0  # no resonance of a beam in air raises broad motion as much as a wrong unit, 1000, does
+_OTHER_MOTION = 0.02  # of the largest residue: what other modes and noise leave in the main motion
+_FALSE_ALARM = 1e-4  # how often markers in their places are taken for exchanged
+_MOST_PLACES = 6  # markers of which every order is tried
 _SIDE = 0.9  # correlation that has a sign
 
 
@@ -92,6 +97,13 @@ def noise_gates(outputs: Sequence[OutputSignal], noise_sd: dict[str, float]) -> 
     for own in outputs:
         noise = noise_sd[own.name]
         name, expected = f"noise of {own.name}", "motion above the floor of the noise"
+        try:
+            require_output(own.name, own.values[own.is_valid])
+        except EstimationError as err:  # as the fit would refuse it
+            yield Gate(
+                name, "failed", str(err), expected, "see that the tracker ran and the beam was in view"
+            )
+            continue
         if math.isnan(noise):
             yield Gate(name, "not judged", f"{len(own.values)} samples", "32 samples without a hole")
             continue
@@ -101,6 +113,52 @@ def noise_gates(outputs: Sequence[OutputSignal], noise_sd: dict[str, float]) -> 
         remedy = "more amplitude, a better light or a nearer sensor"
         is_seen = moves > noise
         yield Gate(name, "passed" if is_seen else "doubtful", figure, expected, "" if is_seen else remedy)
+
+
+def place_gate(record: TimeRecord, rig: Rig | None, structure: str) -> Gate:
+    """Judge whether every marker moves as its height says, or as that of another.
+
+    Notes
+    -----
+    The main motion of the deflections, their first singular vector, is held against every mode shape of the rig at
+    the heights of the markers, and at the same heights in every other order. An error of a height goes along the
+    shape's slope. The orders are compared by their log-likelihoods.
+    """
+    expected = "markers that move as the mode shapes do at their heights"
+    markers = [] if rig is None else [own for own in record.outputs if own.name in rig.markers.names]
+    stamps = {own.times_s[own.is_valid].tobytes() for own in markers}
+    if rig is None or structure != "base_motion" or not 2 <= len(markers) <= _MOST_PLACES or len(stamps) != 1:
+        return Gate("places", "not judged", f"{len(markers)} markers seen at once on a moved base", expected)
+    drive, times = record.inputs[0], markers[0].times_s[markers[0].is_valid]
+    base = np.interp(times, drive.times_s, drive.values)
+    bent = np.array([own.values[own.is_valid] - base for own in markers])
+    main = np.linalg.svd(bent - np.mean(bent, axis=1, keepdims=True), full_matrices=False)[0][:, 0]
+    rows = [rig.markers.names.index(own.name) for own in markers]
+    heights = np.array(rig.markers.heights)[rows]
+    height_sd = np.array(rig.markers.height_uncertainties)[rows]
+    model = rig.beam_model()
+    shapes = np.asarray(model.motion_residues(heights))
+    slopes = np.asarray(model.motion_residues(heights, derivative=1))
+    variances = (slopes * height_sd[:, None]) ** 2 + (_OTHER_MOTION * np.max(np.abs(shapes), axis=0)) ** 2
+
+    def misfit(order: tuple[int, ...]) -> float:
+        shape, variance = shapes[list(order)], variances[list(order)]
+        gains = (shape / variance).T @ main / np.sum(main[:, None] ** 2 / variance, axis=0)
+        return float(np.min(np.sum((gains * main[:, None] - shape) ** 2 / variance, axis=0)))
+
+    given = tuple(range(len(markers)))
+    best = min(permutations(given), key=misfit)
+    if misfit(given) - misfit(best) <= 2.0 * math.log(math.factorial(len(markers)) / _FALSE_ALARM):
+        return Gate("places", "passed", "each as at its height", expected)
+    said = ", ".join(
+        f"{own.name} moves as {markers[k].name} should"
+        for own, k in zip(markers, best, strict=True)
+        if own is not markers[k]
+    )
+    remedy = (
+        "see which marker is which (markers.heights, tracker), and whether the names of two are exchanged"
+    )
+    return Gate("places", "doubtful", said, expected, remedy)
 
 
 def unit_gate(record: TimeRecord, structure: str) -> Gate:

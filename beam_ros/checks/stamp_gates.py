@@ -135,7 +135,9 @@ def rate_gates(outputs: Sequence[OutputSignal], rig: Rig | None, has_markers: bo
         period = float(np.median(steps))
         usual = steps[np.abs(steps - period) < 0.5 * period]
         jitter = float(np.std(usual)) if len(usual) else math.nan
-        figure = f"{1.0 / period:.4g} samples a second, intervals scatter by {jitter * 1e3:.3g} ms"
+        # Stamps are whole nanoseconds.
+        scatter = f"{jitter * 1e3:.3g} ms" if jitter > 1e-9 else "less than 1 ns"
+        figure = f"{1.0 / period:.4g} samples a second, intervals scatter by {scatter}"
         name = f"rate of {names}"
         if rig is None or not has_markers:
             yield Gate(name, "passed", figure, "any: samples are used at their own stamps")

@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import importlib
+import keyword
 import os
 import re
 import sys
@@ -34,10 +35,12 @@ LIVE: dict[str, str] = {
 OFFLINE: dict[str, str] = {
     "model": "the rig's theory: frequencies, damping, participation; its beam from identified modes; all parameters",
     "design": "the excitation against the hub's limits and the beam's modes; --optimal finds the best one",
+    "shape": "the shortest move that leaves less swing than an aim, with what it is predicted to leave",
     "simulate": "the simulator's core straight into a bag, without DDS",
     "recover": "a valid bag from what can be read of a damaged one",
     "info": "what a bag holds: topics, samples, gaps, clocks, excitation",
-    "export": "a bag as CSV files, or as a flat bag for plotting tools",
+    "import": "a file of columns (CSV, MAT, NPZ, UFF, TDMS) as a bag with its provenance",
+    "export": "a bag as CSV files or a flat bag; a model for MATLAB, FMI, Modelica, MuJoCo, printers and others",
     "render": "a film of the simulated experiment with a camera's faults, and its truth",
     "track": "displacements from a camera that only leaves a file, into the bag of its experiment",
     "calibrate": "pixels to metres, from a recorded bag or a board in the beam's plane; the camera's noise",
@@ -78,7 +81,8 @@ class _Parser(argparse.ArgumentParser):
 def verb_parser(verb: str) -> argparse.ArgumentParser:
     """Return the parser of one verb."""
     room = "live" if verb in LIVE else "offline" if verb in OFFLINE else "results"
-    module = importlib.import_module(f"beam_ros.cli.{room}.{verb}")
+    name = f"{verb}_" if keyword.iskeyword(verb) else verb
+    module = importlib.import_module(f"beam_ros.cli.{room}.{name}")
     parser = _Parser(
         prog=f"beam {verb}",
         description=module.__doc__,

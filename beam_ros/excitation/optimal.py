@@ -107,7 +107,7 @@ def design_for_rig(
         No mode lies in the band; the model was identified from another drive; the limits leave no excitation.
     """
     theory = theory_of_drive(rig)
-    known = theory if identified is None else _checked(identified, theory)
+    known = theory if identified is None else led_model(identified, theory)
     known = _within(known, (rig.excitation.start_frequency, rig.excitation.end_frequency))
     defaults = THEORY_SD if identified is None else IDENTIFIED_SD
     try:
@@ -307,8 +307,14 @@ def _renamed(response: LimitedResponse) -> LimitedResponse:
     return LimitedResponse(replace(response.model, output_names=names), limits)
 
 
-def _checked(identified: ModalModel, theory: ModalModel) -> ModalModel:
-    """Return an identified model from the quantity of the rig's drive, if it is one."""
+def led_model(identified: ModalModel, theory: ModalModel) -> ModalModel:
+    """Return an identified model from the quantity of the rig's drive, if it is one.
+
+    Raises
+    ------
+    UsageError
+        Several inputs, or another drive than the rig's.
+    """
     if identified.further_inputs:
         raise UsageError(
             f"the model has the inputs {', '.join(identified.input_names)}: expected one, the hub; identify with the "

@@ -8,6 +8,7 @@ any sender.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,10 +19,12 @@ from beam_model import PredictedLoads
 from beam_ros.arrays import FloatArray
 from beam_ros.errors import UsageError
 from beam_ros.excitation.recipes import recipe_of_rig
+from beam_ros.hub.gate.beam_guard import BeamGuard
 from beam_ros.hub.gate.sequence_assembly import BLOCK_TICKS, MAX_TICKS
 from beam_ros.rig.rig import Rig
 
 _HOLD_OF_MODE = {"acceleration": "zoh", "velocity": "zoh", "position": "linear", "effort": "zoh"}
+_PIECES = (BLOCK_TICKS, 512, 16)  # ticks: so near, in three steps, the place is found where a limit is left
 
 
 @dataclass(frozen=True)
@@ -85,10 +88,33 @@ def plan_excitation(rig: Rig) -> ExcitationPlan:
     mode = rig.hub.command_mode
     mass = rig.beam_parameters().total_mass
     values = sampled.accelerations * mass if mode == "effort" else sampled.samples(mode)
-    loads = rig.beam_guard().sequence()
+    guard = rig.beam_guard()
     with one_blas_thread():
-        blocks = (values[k : k + BLOCK_TICKS] for k in range(0, len(values), BLOCK_TICKS))
-        reason = next(filter(None, map(loads.add, blocks)), None) or loads.objection()
-    if reason:
-        raise UsageError(f"excitation refused: {reason}")
+        loads = guard.sequence()
+        reasons = [loads.add(block) for _, block in _blocks(values, 0, BLOCK_TICKS)]
+        reason = next(filter(None, reasons), None) or loads.objection()
+        if reason:
+            first = _first_beyond(guard, values)
+            raise UsageError(f"excitation refused: {reason}; the limit is left at {first * period_s:.4g} s")
     return ExcitationPlan(recipe, sampled, mode, values, loads.loads)
+
+
+def _blocks(values: FloatArray, first: int, n_ticks: int) -> Iterator[tuple[int, FloatArray]]:
+    """Yield samples from a tick on in pieces, each with the number of its first tick."""
+    for k in range(first, len(values), n_ticks):
+        yield k, values[k : k + n_ticks]
+
+
+def _first_beyond(guard: BeamGuard, values: FloatArray) -> int:
+    """Return the tick, to within the last of ``_PIECES``, at which samples first lead beyond a limit of the beam."""
+    found, before = 0, len(values)
+    for n_ticks in _PIECES:
+        loads = guard.sequence()
+        for _, block in _blocks(values[:found], 0, BLOCK_TICKS):
+            loads.add(block)
+        for first, block in _blocks(values[:before], found, n_ticks):
+            found = first
+            if loads.add(block) or loads.objection():
+                break
+        before = found + n_ticks
+    return found

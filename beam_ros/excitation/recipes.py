@@ -21,13 +21,16 @@ from beam_ident.excitation import (
     Prbs,
     Pulse,
     Recipe,
+    ShapedMove,
     ShapedMultisine,
     Sine,
     Step,
     SteppedSine,
+    Trajectory,
     describe_recipe,
 )
 from beam_ros.errors import UsageError
+from beam_ros.excitation.trajectory_file import read_trajectory
 from beam_ros.interfaces.rig_parameters import ExcitationSettings
 from beam_ros.rig.rig import Rig
 
@@ -116,6 +119,8 @@ KINDS: dict[str, ExcitationKind] = {
         ExcitationKind(Sine, _fade_cycles),
         ExcitationKind(SteppedSine),
         ExcitationKind(ShapedMultisine, _fade),
+        ExcitationKind(Trajectory, read_trajectory, ("file", "file_values", "file_time")),
+        ExcitationKind(ShapedMove),
     )
 }
 """The kinds of excitation by their name."""
@@ -153,7 +158,7 @@ def describe_excitation(info: Mapping[str, Any]) -> str:
     kind = KINDS.get(excitation.get("kind"))
     if kind is None:
         return describe_recipe(info.get("recipe", {}))
-    names = [name for name in ("kind", *kind.reads) if name in excitation]
+    names = [name for name in ("kind", *kind.reads) if excitation.get(name, "") != ""]
     return " ".join(f"-p excitation.{name}:={_typed(excitation[name])}" for name in names)
 
 

@@ -13,6 +13,7 @@ from beam_ros.experiments.outcome import OUTCOME_FILE, REPORT_FILE, read_outcome
 from beam_ros.experiments.plan import Plan
 from beam_ros.experiments.progress_file import STATE_FILE, ProgressFile
 from beam_ros.experiments.steps import Means, PlanStep, Report, steps_of
+from beam_ros.offline.identification import nothing_checked
 from beam_ros.process.folder_lock import LOCK_NAME, FolderLock
 from beam_ros.process.folders import make_folder
 from beam_ros.process.interruption import whole_or_interrupted
@@ -30,7 +31,8 @@ _OWN = (
     REPORT_FILE,
     "bags",
     "estimates",
-    "validations",
+    "moves",
+    "verdicts",
     "calibration.yaml",
     "figures",
     "tables",
@@ -248,7 +250,8 @@ def describe_plan(plan: Plan) -> list[str]:
     lines += [
         step.name
         for step in steps_of(
-            plan, Means(_nothing, lambda bag, rig, file: 0, lambda found, folder, made: None)
+            plan,
+            Means(_nothing, lambda *bags: 0, nothing_checked, _nothing, lambda *shaped: ""),
         )
         if not step.name.startswith("record ")
     ]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,10 +15,15 @@ import numpy as np
 from beam_ident import EstimationError, assess_repeatability
 from beam_ident.figures.canvas import COLOURS, REFERENCE, axes_grid
 from beam_ident.report.page import Cell, Page
+from beam_ident.report.quantities import signed, with_uncertainty
+from beam_ident.report.validation import TONES
+from beam_ident.report.verdict import Verdict, add_verdict, worst_of
+from beam_ros.bags.apparatus import Apparatus, simulated_line
 from beam_ros.excitation.plan import plan_excitation
 from beam_ros.experiments.plan import Estimation, Plan, PlannedRecording
 from beam_ros.experiments.progress_file import files_below
-from beam_ros.experiments.steps import bag_of, estimate_of, stored_models, summary_of, validation_of
+from beam_ros.experiments.quiet_moves import PLAYED, add_moves, rig_that_plays
+from beam_ros.experiments.steps import bag_of, estimate_of, scores_of, stored_models, summary_of
 from beam_ros.process.checksums import checksum
 from beam_ros.process.strict_json import strict_json
 
@@ -47,7 +53,7 @@ def write_outcome(plan: Plan, done: Path, place: Path, begun: str) -> dict[str, 
     """
     outcome = _outcome(plan, done)
     (place / OUTCOME_FILE).write_text(strict_json(outcome, indent=1), encoding="utf-8")
-    _page(plan, outcome, begun).write(place / REPORT_FILE)
+    _page(plan, outcome, begun, done).write(place / REPORT_FILE)
     return outcome
 
 
@@ -67,27 +73,15 @@ def _outcome(plan: Plan, done: Path) -> dict[str, Any]:
                     "fit": fit.name,
                     "recordings": list(fit.bags),
                     "report": f"{estimate_of(estimation.name, fit.name)}/report.html",
-                    **{
-                        key: summary[key]
-                        for key in ("estimator", "modes", "scores", "converged", "warnings", "notes")
-                    },
+                    **{key: summary[key] for key in _KEPT},
                 }
             )
+            validations += [
+                {"estimation": estimation.name, "fit": fit.name, "unseen": unseen, "scores": scores}
+                for unseen, scores in scores_of(summary).items()
+            ]
         if not estimation.together:
             repeatability += _repeatability(plan, estimation, done)
-    for hold_out in plan.validations:
-        estimation = next(own for own in plan.estimations if own.name == hold_out.estimation)
-        for fit in estimation.fits:
-            for unseen in hold_out.recordings:
-                path = done / validation_of(estimation.name, fit.name, unseen)
-                validations.append(
-                    {
-                        "estimation": estimation.name,
-                        "fit": fit.name,
-                        "unseen": unseen,
-                        "scores": json.loads(path.read_text(encoding="utf-8")),
-                    }
-                )
     return {
         "schema": _SCHEMA,
         "plan": plan.name,
@@ -96,11 +90,31 @@ def _outcome(plan: Plan, done: Path) -> dict[str, Any]:
         "rig": plan.kind.value,
         "over_ros": plan.over_ros,
         "version": version("beam_ros"),
-        "recordings": [_described(own, done) for own in plan.all_recordings],
+        "recordings": [_described(own, done) for own in (*plan.all_recordings, *_played(plan, done))],
+        "verdict": _verdict(estimates),
         "estimates": estimates,
         "repeatability": repeatability,
         "validations": validations,
+        "moves": [json.loads((done / own.verdict).read_text(encoding="utf-8")) for own in plan.moves],
     }
+
+
+_KEPT = ("apparatus", "estimator", "modes", "scores", "converged", "verdict", "warnings", "notes")
+
+
+def _verdict(estimates: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Judge all models of an experiment together."""
+    named = [(f"{own['estimation']} from {own['fit']}", Verdict(**own["verdict"])) for own in estimates]
+    return asdict(worst_of(named))
+
+
+def _played(plan: Plan, done: Path) -> list[PlannedRecording]:
+    """Return the recordings of the moves, with the rigs that played them."""
+    return [
+        PlannedRecording(own.bag(which), own.name, 1.0, 1, own.with_frames, rig_that_plays(own, done, which))
+        for own in plan.moves
+        for which in PLAYED
+    ]
 
 
 def _described(recording: PlannedRecording, done: Path) -> dict[str, Any]:
@@ -160,8 +174,27 @@ def _repeatability(plan: Plan, estimation: Estimation, done: Path) -> list[dict[
     return found
 
 
-def _page(plan: Plan, outcome: Mapping[str, Any], begun: str) -> Page:
-    page = Page(plan.title, _lead(plan, outcome))
+def _page(plan: Plan, outcome: Mapping[str, Any], begun: str, done: Path) -> Page:
+    simulated = simulated_line(Apparatus(own["apparatus"]) for own in outcome["estimates"])
+    page = Page(plan.title, _lead(plan, outcome), simulated)
+    page.section("Verdict")
+    add_verdict(page, Verdict(**outcome["verdict"]))
+    if outcome["estimates"]:
+        page.section("Modes")
+        for estimation in plan.estimations:
+            _modes(page, estimation, outcome)
+        first = outcome["estimates"][0]
+        drawn = done / Path(first["report"]).parent / "figures"
+        for name, caption in _SHOWN.items():
+            if (drawn / f"{name}.svg").is_file():
+                whose = f"{first['estimation']} from {first['fit']}"
+                svg = (drawn / f"{name}.svg").read_text(encoding="utf-8")
+                page.drawing(svg, f"{caption} {whose}; each model's own page has its figures.")
+    if outcome["validations"]:
+        page.section("Validation")
+        _validations(page, outcome)
+    page.signature()
+    page.evidence()
     page.section("Recordings")
     page.table(
         (
@@ -185,39 +218,10 @@ def _page(plan: Plan, outcome: Mapping[str, Any], begun: str) -> Page:
         ],
         "What was recorded, and what the beam was predicted to do before anything moved.",
     )
-    if outcome["estimates"]:
-        page.section("Modes")
-        for estimation in plan.estimations:
-            _modes(page, estimation, outcome)
     _levels(page, plan, outcome)
     _scatter(page, outcome)
-    if outcome["validations"]:
-        page.section("Validation")
-        page.table(
-            (
-                "model",
-                "on",
-                "output",
-                "FIT [%]",
-                "of the deflection [%]",
-                "from rest [%]",
-                "residual / noise",
-                "verdict",
-            ),
-            [
-                (
-                    f"{own['estimation']} from {own['fit']}",
-                    own["unseen"],
-                    name,
-                    *(_figure(score[key]) for key in _SCORES),
-                    score["verdict"].partition(":")[0],
-                )
-                for own in outcome["validations"]
-                for name, score in own["scores"].items()
-            ],
-            "Every model on recordings that it has not seen. Most of an output near the clamp is the hub's own "
-            "motion: the fit of the deflection is the sterner test.",
-        )
+    if outcome["moves"]:
+        add_moves(page, outcome["moves"], {own.name: f"{own.folder}/report.html" for own in plan.moves})
     page.section("Files")
     page.table(
         ("file", "SHA-256"),
@@ -241,6 +245,42 @@ def _page(plan: Plan, outcome: Mapping[str, Any], begun: str) -> Page:
         "its rig in full.",
     )
     return page
+
+
+_SHOWN = {
+    "fit": "Measured and modelled outputs:",
+    "response": "The measured response as points and the model's with 95 % bands as lines:",
+}
+
+
+def _validations(page: Page, outcome: Mapping[str, Any]) -> None:
+    """Show how every model predicts every recording that it has not seen, and say what is wrong where it does not."""
+    rows: list[tuple[str | Cell, ...]] = []
+    for own in outcome["validations"]:
+        for name, score in own["scores"].items():
+            word, _, why = score["verdict"].partition(" ")
+            rows.append(
+                (
+                    f"{own['estimation']} from {own['fit']}, {own['unseen']}: {name}",
+                    *(_figure(score[key]) for key in _SCORES),
+                    Cell(word, TONES.get(word, "")),
+                    Cell(why.rpartition("; ")[2], "" if score["is_independent"] else "doubt"),
+                )
+            )
+    page.table(
+        (
+            "model, on: output",
+            "FIT [%]",
+            "of deflection [%]",
+            "from rest [%]",
+            "residual / noise",
+            "verdict",
+            "residual and input",
+        ),
+        rows,
+        "Every model on recordings that it has not seen. Near the clamp an output is mostly the hub's motion: the "
+        "fit of the deflection, without that, is the sterner test.",
+    )
 
 
 _SCORES = ("fit_percent", "deflection_fit_percent", "fit_from_rest_percent", "residual_over_noise")
@@ -276,18 +316,21 @@ def _modes(page: Page, estimation: Estimation, outcome: Mapping[str, Any]) -> No
                 (
                     Cell(entry["fit"], link=entry["report"]),
                     str(mode.get("output", number)),
-                    _with_sd(mode["frequency_hz"], mode["frequency_sd_hz"]),
-                    f"{mode['theory_frequency_hz']:.4f}",
-                    _with_sd(100.0 * mode["damping_ratio"], 100.0 * mode["damping_ratio_sd"]),
-                    f"{100.0 * mode['theory_damping_ratio']:.3f}",
+                    with_uncertainty(mode["frequency_hz"], mode["frequency_sd_hz"] or math.nan),
+                    f"{mode['theory_frequency_hz']:.4f}" if "theory_mode" in mode else "–",
+                    signed(mode.get("frequency_z") or math.nan),
+                    with_uncertainty(
+                        100.0 * mode["damping_ratio"], 100.0 * (mode["damping_ratio_sd"] or math.nan)
+                    ),
+                    f"{100.0 * mode['theory_damping_ratio']:.3f}" if "theory_mode" in mode else "–",
                     Cell(mode["doubt"], "doubt") if mode.get("doubt") else "none",
                 )
             )
     page.table(
-        ("from", "mode", "frequency [Hz]", "theory [Hz]", "damping ratio [%]", "theory [%]", "doubt"),
+        ("from", "mode", "frequency [Hz]", "theory [Hz]", "z", "damping ratio [%]", "theory [%]", "doubt"),
         rows,
-        f"Modes by the estimator {estimation.estimator} ({estimation.name}), with standard deviations, beside the "
-        f"theory of the rig. {_FROM[estimation.together]}",
+        f"Modes by the estimator {estimation.estimator} ({estimation.name}), with all known uncertainty as "
+        f"standard deviations, beside the theory of the rig. {_FROM[estimation.together]}",
     )
     for entry in own:
         for text in (*entry["warnings"], *entry["notes"]):
@@ -335,8 +378,10 @@ def _one_of_each(modes: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
     Two that overlap imitate one whose damping depends on the amplitude: only one of them is drawn.
     """
     nearest: dict[int, Mapping[str, Any]] = {}
-    for mode in sorted(modes, key=lambda mode: -abs(mode["frequency_hz"] - mode["theory_frequency_hz"])):
-        if not mode.get("doubt") and "output" not in mode:
+    for mode in sorted(
+        modes, key=lambda mode: -abs(mode["frequency_hz"] - mode.get("theory_frequency_hz", 0.0))
+    ):
+        if not mode.get("doubt") and "output" not in mode and "theory_mode" in mode:
             nearest[int(mode["theory_mode"])] = mode
     return list(nearest.values())
 
@@ -404,11 +449,3 @@ def _scatter(page: Page, outcome: Mapping[str, Any]) -> None:
 
 def _figure(value: float | None) -> str:
     return "–" if value is None or not math.isfinite(value) else f"{value:.2f}"
-
-
-def _with_sd(value: float, sd: float | None) -> str:
-    """Return a value with its standard deviation, to two digits of the latter."""
-    if sd is None or not math.isfinite(sd) or sd <= 0.0:
-        return f"{value:.4f}"
-    decimals = min(max(1 - math.floor(math.log10(sd)), 0), 8)
-    return f"{value:.{decimals}f} ± {sd:.{decimals}f}"

@@ -20,6 +20,7 @@ from beam_ros.errors import ParameterFileError, UsageError, likeliest, suggestio
 from beam_ros.excitation.plan import plan_excitation
 from beam_ros.excitation.recipes import KINDS
 from beam_ros.experiments.quantities import in_si
+from beam_ros.experiments.quiet_moves import PLAYED, PlannedMove
 from beam_ros.interfaces.graph import RigKind
 from beam_ros.interfaces.parameter_files import flatten, read_yaml
 from beam_ros.interfaces.rig_parameters import RIG_PARAMETERS
@@ -36,6 +37,7 @@ _SEEDS_OF_A_PLAN = 10_000
 _MOST_SEED = 200_000
 _NAME = "expected letters, digits, - and _, as E1"
 _BYTES_PER_SECOND = 250_000
+_MOVE_S = 10.0
 _CALIBRATION = "calibration"
 _ALL = "all"
 
@@ -141,6 +143,7 @@ class Plan:
     recordings : tuple of PlannedRecording -- in their order
     estimations : tuple of Estimation
     validations : tuple of HoldOut
+    moves : tuple of PlannedMove
     text : str -- the file as it was read
     """
 
@@ -153,12 +156,18 @@ class Plan:
     recordings: tuple[PlannedRecording, ...]
     estimations: tuple[Estimation, ...]
     validations: tuple[HoldOut, ...]
+    moves: tuple[PlannedMove, ...]
     text: str
 
     @property
     def is_live(self) -> bool:
         """Whether nodes run."""
         return self.over_ros or self.kind is not RigKind.SIMULATED
+
+    def unseen_by(self, estimation: Estimation) -> tuple[str, ...]:
+        """Return the recordings that the models of an estimation are validated on, each once."""
+        own = [one for one in self.validations if one.estimation == estimation.name]
+        return tuple(dict.fromkeys(name for one in own for name in one.recordings))
 
     @property
     def all_recordings(self) -> tuple[PlannedRecording, ...]:
@@ -171,7 +180,11 @@ class Plan:
         """What the bags take on the disk, roughly [bytes]."""
         camera, rig = self.rig.camera, self.rig
         frames = camera.width * camera.height * camera.rate if self.is_live and rig.recorder.images else 0.0
-        return sum(own.duration_s for own in self.all_recordings) * (_BYTES_PER_SECOND + frames)
+        moving_s = sum(
+            len(PLAYED) * (own.rig.excitation.dwell + own.rig.excitation.still + _MOVE_S)
+            for own in self.moves
+        )
+        return (moving_s + sum(own.duration_s for own in self.all_recordings)) * (_BYTES_PER_SECOND + frames)
 
     def digest(self) -> str:
         """Return the checksum of everything that decides what the experiment does."""
@@ -275,6 +288,7 @@ class _Reader:
             recordings=recordings,
             estimations=estimations,
             validations=self._validations(groups, estimations),
+            moves=self._moves(self._rig_of(calibration), groups, estimations),
             text=self._path.read_text(encoding="utf-8"),
         )
 
@@ -347,15 +361,19 @@ class _Reader:
             raise UsageError(f"{place}{at}: {err}") from err
         return rig
 
+    def _rig_of(self, calibration: Calibration | None) -> Rig:
+        """Return what all recordings share, with a calibration that exists."""
+        if calibration is None or calibration.file is None:
+            return self._common
+        return self._common.with_values({"tracker.calibration": str(calibration.file.resolve())})
+
     def _recordings(self, calibration: Calibration | None) -> tuple[PlannedRecording, ...]:
         tree = self._tree.get("recordings")
         if not isinstance(tree, Mapping) or not tree:
             raise ParameterFileError(
                 "recordings: expected at least one, as {E1: {excitation: {kind: chirp}}}"
             )
-        rig = self._common
-        if calibration is not None and calibration.file is not None:
-            rig = rig.with_values({"tracker.calibration": str(calibration.file.resolve())})
+        rig = self._rig_of(calibration)
         recordings: list[PlannedRecording] = []
         for name, entry in tree.items():
             place = f"recordings.{_name('recordings', name)}"
@@ -446,6 +464,67 @@ class _Reader:
             found.append(HoldOut(name, bags))
         return tuple(found)
 
+    def _moves(
+        self, rig: Rig, groups: Mapping[str, tuple[str, ...]], estimations: Sequence[Estimation]
+    ) -> tuple[PlannedMove, ...]:
+        tree = self._tree.get("moves", {})
+        if not isinstance(tree, Mapping):
+            raise ParameterFileError(
+                f"moves is {tree!r}: expected names, as {{quiet: {{estimation: modal, to: 20 mm, aim: 50 um}}}}"
+            )
+        known = {own.name: own for own in estimations}
+        found = []
+        for name, entry in tree.items():
+            place = f"moves.{_name('moves', name)}"
+            content = _mapping(place, entry, _MOVE_KEYS)
+            estimation = known[_word(f"{place}.estimation", content.get("estimation"), list(known))]
+            if estimation.estimator != "modal" or len(estimation.fits) != 1:
+                raise ParameterFileError(
+                    f"{place}.estimation: {estimation.name} gives {len(estimation.fits)} models by "
+                    f"{estimation.estimator}; expected one modal model: one recording, or together: true"
+                )
+            rehearsal = content.get("rehearsal")
+            values = self._values(place, {f"move_{key}": content.get(key) for key in _PLACES}, "excitation.")
+            move_rig = self._moving(place, rig, values)
+            moved = move_rig.excitation
+            found.append(
+                PlannedMove(
+                    name,
+                    estimation.name,
+                    estimation.fits[0].name,
+                    None if rehearsal is None else _word(f"{place}.rehearsal", rehearsal, _bags(groups)),
+                    moved.move_from,
+                    moved.move_to,
+                    moved.move_aim,
+                    _truth(f"{place}.frames", content.get("frames", False)),
+                    move_rig,
+                )
+            )
+            taken = sorted({found[-1].bag(which) for which in PLAYED} & set(groups))
+            if taken:
+                raise ParameterFileError(f"{place}: its bag {taken[0]} is a recording's; rename one of them")
+        return tuple(found)
+
+    def _moving(self, place: str, rig: Rig, values: Mapping[str, object]) -> Rig:
+        """Return the rig with the ends of a move and a seed of its own."""
+        for name, value in values.items():
+            if value is None:
+                key = name.removeprefix("excitation.move_")
+                raise ParameterFileError(f"{place}.{key} is missing: expected a length, as 20 mm")
+        if rig.hub.command_mode == "effort":
+            raise ParameterFileError(
+                f"{place}: hub.command_mode is effort, and a hub under force follows no command; set hub.command_mode"
+            )
+        seed = self._base_seed * _SEEDS_OF_A_PLAN + self._count
+        self._count += len(PLAYED)
+        try:
+            own = rig.with_values({**values, "simulation.seed": seed})
+        except ParameterFileError as err:
+            raise ParameterFileError(f"{place}: {err}") from err
+        if own.excitation.move_from == own.excitation.move_to:
+            raise ParameterFileError(f"{place} goes nowhere: from and to are the same; give two places")
+        return own
+
 
 _KEYS = (
     "title",
@@ -458,9 +537,17 @@ _KEYS = (
     "recordings",
     "estimations",
     "validations",
+    "moves",
 )
 _RECORDING_KEYS = ("excitation", "levels", "repetitions", "frames")
+_PLACES = ("from", "to", "aim")
+_MOVE_KEYS = ("estimation", "rehearsal", *_PLACES, "frames")
 _ESTIMATION_KEYS = ("recordings", "estimator", "structure", "modes", "together")
+
+
+def _bags(groups: Mapping[str, tuple[str, ...]]) -> list[str]:
+    """Return the names that stand for one bag."""
+    return [name for name, bags in groups.items() if bags == (name,)]
 
 
 def _groups(recordings: Sequence[PlannedRecording]) -> dict[str, tuple[str, ...]]:
@@ -529,7 +616,7 @@ def _name(place: str, value: Any) -> str:
 
 
 def _refuse_no_port(kind: RigKind, rig: Rig) -> None:
-    if kind is RigKind.REAL and rig.axis.kind in ("beam", "odrive", "csv") and not rig.serial.port:
+    if kind is RigKind.REAL and rig.lacks_port:
         raise UsageError(
             "rig real needs the controller's port: expected serial.port in the rig file, or "
             "-p serial.port:=/dev/ttyACM0"

@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
-from beam_ident import restore, validate
-from beam_ros.errors import UsageError
+from beam_ident import restore
+from beam_ros.excitation.shaping import MoveOrder
 from beam_ros.experiments.plan import Estimation, Fit, Plan, PlannedRecording
 from beam_ros.experiments.progress_file import ProgressFile
-from beam_ros.offline.identification import Identification, identification_of_bags
-from beam_ros.offline.identification_summary import validation_scores
-from beam_ros.offline.loading.experiment import load_experiment
+from beam_ros.experiments.quiet_moves import PLAYED, PlannedMove, rig_that_plays, verdict_on, write_verdict
+from beam_ros.offline.identification import Checked, IdentificationOutcome, identification_of_bags
 from beam_ros.offline.simulation import simulate
-from beam_ros.process.strict_json import strict_json
 from beam_ros.rig.rig import Rig
 
 CALIBRATION_FILE = "calibration.yaml"
@@ -39,8 +37,17 @@ Calibrate = Callable[[Path, Rig, Path], int]
 class WriteReport(Protocol):
     """Writes the report of an identification into a new folder."""
 
-    def __call__(self, found: Identification, folder: Path, *, made: str) -> object:
+    def __call__(self, found: IdentificationOutcome, folder: Path, *, made: str) -> object:
         """Write it, with the date given."""
+
+
+class Shape(Protocol):
+    """Shapes a move and writes it into a new folder."""
+
+    def __call__(
+        self, rig: Rig, order: MoveOrder, model: Path, rehearsal: Path | None, folder: Path, report: Report
+    ) -> str:
+        """Shape from the folder of a model, and from a bag of moves; return the result in a phrase."""
 
 
 @dataclass(frozen=True)
@@ -51,12 +58,16 @@ class Means:
     ----------
     record : callable -- how this rig records
     calibrate : callable -- how pixels become metres
+    check : callable -- what is looked at in a bag before it is identified
     write_report : callable -- how a model is reported
+    shape : callable -- how a move is shaped
     """
 
     record: Record
     calibrate: Calibrate
+    check: Checked
     write_report: WriteReport
+    shape: Shape
 
 
 @dataclass(frozen=True)
@@ -89,11 +100,6 @@ def estimate_of(estimation: str, fit: str) -> str:
     return f"estimates/{estimation}/{fit}"
 
 
-def validation_of(estimation: str, fit: str, unseen: str) -> str:
-    """Return where the scores of a model on another bag lie."""
-    return f"validations/{estimation}/{fit}-on-{unseen}.json"
-
-
 def steps_of(plan: Plan, means: Means) -> list[PlanStep]:
     """Return the steps of a plan but for its report.
 
@@ -116,22 +122,41 @@ def steps_of(plan: Plan, means: Means) -> list[PlanStep]:
                 PlanStep(
                     f"estimate {estimation.name} from {fit.name}",
                     (output,),
-                    _estimate(estimation, fit, means),
+                    _estimate(estimation, fit, plan.unseen_by(estimation), means),
                 )
             )
-    for hold_out in plan.validations:
-        estimation = next(own for own in plan.estimations if own.name == hold_out.estimation)
-        for fit in estimation.fits:
-            for unseen in hold_out.recordings:
-                output = validation_of(estimation.name, fit.name, unseen)
-                steps.append(
-                    PlanStep(
-                        f"validate {estimation.name} from {fit.name} on {unseen}",
-                        (output,),
-                        _validate(estimation, fit.name, unseen),
-                    )
-                )
+    for move in plan.moves:
+        steps += _of_move(plan, move, means)
     return steps
+
+
+def _of_move(plan: Plan, move: PlannedMove, means: Means) -> list[PlanStep]:
+    """Return the steps of a move: shaped, played unshaped and shaped, and judged."""
+
+    def shape(done: Path, place: Path, report: Report) -> str:
+        rehearsal = None if move.rehearsal is None else done / bag_of(move.rehearsal)
+        order = MoveOrder(move.start, move.end, move.aim)
+        model = done / estimate_of(move.estimation, move.fit)
+        return means.shape(move.rig, order, model, rehearsal, place / move.folder, report)
+
+    def play(which: str) -> PlanStep:
+        def run(done: Path, place: Path, report: Report) -> str:
+            own = PlannedRecording(
+                move.bag(which), move.name, 1.0, 1, move.with_frames, rig_that_plays(move, done, which)
+            )
+            return _recording(plan, own, means.record).run(done, place, report)
+
+        return PlanStep(f"play {move.bag(which)}", (bag_of(move.bag(which)),), run, keeps_pieces=plan.is_live)
+
+    def judge(done: Path, place: Path, report: Report) -> str:
+        bags = {which: done / bag_of(move.bag(which)) for which in PLAYED}
+        return write_verdict(verdict_on(move, done, bags), place / move.verdict)
+
+    return [
+        PlanStep(f"shape {move.name}", (move.folder,), shape),
+        *(play(which) for which in PLAYED),
+        PlanStep(f"judge {move.name}", (move.verdict,), judge),
+    ]
 
 
 def record_by_core(rig: Rig, bag: Path, *, with_frames: bool, report: Report) -> None:
@@ -165,13 +190,19 @@ def _calibrate(recording: PlannedRecording, means: Means) -> Callable[[Path, Pat
     return run
 
 
-def _estimate(estimation: Estimation, fit: Fit, means: Means) -> Callable[[Path, Path, Report], str]:
+def _estimate(
+    estimation: Estimation, fit: Fit, unseen: Sequence[str], means: Means
+) -> Callable[[Path, Path, Report], str]:
+    """Return what identifies, validates and reports: a page that was written before all is judged would mislead."""
+
     def run(done: Path, place: Path, report: Report) -> str:
         found = identification_of_bags(
             [done / bag_of(bag) for bag in fit.bags],
             estimator=estimation.estimator,
             structure=estimation.structure,
             n_modes=estimation.modes,
+            validation=[done / bag_of(bag) for bag in unseen],
+            checked=means.check,
             progress=lambda phrase, share: report(share, phrase),
         )
         state = ProgressFile.read(done)
@@ -181,28 +212,23 @@ def _estimate(estimation: Estimation, fit: Fit, means: Means) -> Callable[[Path,
             place / estimate_of(estimation.name, fit.name),
             made=state.begun if state is not None else "",
         )
-        return ", ".join(f"{mode['frequency_hz']:.4f} Hz" for mode in found.content["modes"]) or "no modes"
+        return "; ".join(
+            [
+                ", ".join(f"{mode['frequency_hz']:.4f} Hz" for mode in found.content["modes"]) or "no modes",
+                *(
+                    f"on {name}: "
+                    + ", ".join(f"{output} FIT {own['fit_percent']:.2f} %" for output, own in scores.items())
+                    for name, scores in scores_of(found.content).items()
+                ),
+            ]
+        )
 
     return run
 
 
-def _validate(estimation: Estimation, fit: str, unseen: str) -> Callable[[Path, Path, Report], str]:
-    def run(done: Path, place: Path, report: Report) -> str:
-        record = load_experiment(done / bag_of(unseen), structure=estimation.structure).record
-        scores: dict[str, dict[str, Any]] = {}
-        for model in stored_models(done / estimate_of(estimation.name, fit)):
-            if not hasattr(model, "simulate"):
-                raise UsageError(
-                    f"validations: {estimation.estimator} gives a {type(model).__name__}, which predicts nothing; "
-                    f"leave the validation of {estimation.name} out, or take another estimator"
-                )
-            scores |= validation_scores([validate(model, record)])
-        path = place / validation_of(estimation.name, fit, unseen)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(strict_json(scores, indent=1), encoding="utf-8")
-        return ", ".join(f"{name} FIT {score['fit_percent']:.2f} %" for name, score in scores.items())
-
-    return run
+def scores_of(summary: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """Return the scores of a result on the bags that it has not seen, by the bag's name and the output."""
+    return {Path(own["bag"]).name: own["scores"] for own in summary.get("validation", ())}
 
 
 def stored_models(folder: Path) -> list[Any]:

@@ -168,21 +168,21 @@ HOST_FAULTS = (
     Fault(
         76,
         "status_unreadable",
-        "the controller's status cannot be decoded",
-        "update the firmware or this suite",
+        "the controller speaks, and its answers cannot be read",
+        "check serial.baud and its firmware, or update this suite",
     ),
     Fault(
         77,
         "clock_jumped",
         "the controller's clock jumped",
-        "mend the firmware's clock",
+        "switch the controller off and on, and mend its clock",
         needs_home=True,
     ),
     Fault(
         78,
         "clock_backwards",
         "the controller's clock ran backwards",
-        "mend the firmware's clock",
+        "switch the controller off and on, and mend its clock",
         needs_home=True,
     ),
     Fault(
@@ -225,6 +225,12 @@ HOST_FAULTS = (
         "not_finite",
         "the controller reports NaN or infinity as what it applied",
         "mend the firmware's telemetry",
+    ),
+    Fault(
+        87,
+        "other_host",
+        "another host takes the controller's session again and again",
+        "end one of the two programs that use this port",
     ),
 )
 

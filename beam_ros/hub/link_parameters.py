@@ -6,13 +6,11 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
-class OdriveParameters:
-    """How one axis of an ODrive moves the hub.
+class DriveParameters:
+    """How a drive that the host paces moves the hub.
 
     Parameters
     ----------
-    axis : int
-        Number of the axis, 0 or 1.
     metres_per_turn : float
         Travel of the hub for one turn; negative where they run against each other [m].
     rate : float
@@ -21,10 +19,35 @@ class OdriveParameters:
         Whether hub/home takes the present place; else the encoder's own zero is home.
     """
 
-    axis: int = 0
     metres_per_turn: float = 1.0
     rate: float = 200.0
     homes_here: bool = True
+
+
+@dataclass(frozen=True)
+class OdriveParameters(DriveParameters):
+    """How one axis of an ODrive moves the hub.
+
+    Parameters
+    ----------
+    axis : int
+        Number of the axis, 0 or 1.
+    """
+
+    axis: int = 0
+
+
+@dataclass(frozen=True)
+class DynamixelParameters(DriveParameters):
+    """How one servo on a bus of Dynamixels moves the hub.
+
+    Parameters
+    ----------
+    servo_id : int
+        Its number on the bus, 0 to 252.
+    """
+
+    servo_id: int = 1
 
 
 @dataclass(frozen=True)
@@ -39,11 +62,14 @@ class TrajectoryParameters:
         Most knots in one trajectory.
     homes_here : bool
         Whether hub/home takes the present place; else the joint's own zero is home.
+    drive_watchdog_s : float
+        After so long a silence of its master the drive stops by itself, as somebody states; 0: it does not [s].
     """
 
     metres_per_unit: float = 1.0
     max_knots: int = 200_000
     homes_here: bool = True
+    drive_watchdog_s: float = 0.0
 
 
 @dataclass(frozen=True)

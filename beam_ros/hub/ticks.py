@@ -40,6 +40,11 @@ class TickBatch:
         """Return the number of ticks."""
         return len(self.applied)
 
+    @property
+    def end_tick(self) -> int:
+        """Number of the tick after the last."""
+        return self.first_tick + len(self)
+
     @classmethod
     def join(cls, parts: Sequence[TickBatch]) -> TickBatch:
         """Return batches that follow each other as one."""
@@ -50,6 +55,17 @@ class TickBatch:
             np.concatenate([part.velocity_counts for part in parts]),
             np.concatenate([part.efforts for part in parts]),
         )
+
+    def measured(self, period: float, resolution: float) -> tuple[FloatArray, FloatArray]:
+        """Return when the ticks began [s of device time] and where the hub was then [m].
+
+        Parameters
+        ----------
+        period, resolution : float
+            Of a tick [s], and of the encoder [m].
+        """
+        numbers = np.arange(self.first_tick, self.end_tick, dtype=np.float64)
+        return period * numbers, np.multiply(self.position_counts, resolution, dtype=np.float64)
 
     def finite_parts(self) -> list[TickBatch]:
         """Return the runs of ticks of which the device says a number that it applied."""

@@ -12,6 +12,7 @@ from enum import Enum
 
 from beam_ros.interfaces.rig_parameters import GROUPS
 
+DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
 JOINT_STATE = "sensor_msgs/msg/JointState"
 JOINT_TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
 STRING = "std_msgs/msg/String"
@@ -218,7 +219,7 @@ TOPICS: dict[str, Topic] = {
         ),
         Topic(
             "/diagnostics",
-            "diagnostic_msgs/msg/DiagnosticArray",
+            DIAGNOSTICS,
             QualityOfService(10),
             "health of every node, 1 Hz",
         ),
@@ -286,7 +287,9 @@ _AXIS = _group("hub", "mass", "max_tip_deflection", "applied_hold", "measured_ho
 _GUARD = ("hub.max_tip_deflection", "beam.max_root_strain")
 """What the hub may do to the beam, besides ``hub.max_effort``."""
 
-_LINKS = tuple(name for group in ("axis", "serial", "trajectory", "odrive", "csv") for name in _group(group))
+_LINKS = tuple(
+    name for group in ("axis", "serial", "trajectory", "odrive", "dynamixel", "csv") for name in _group(group)
+)
 """How the axis is reached, for every kind of link."""
 
 _CONTROLLER = ("axis.kind", "axis.metres_per_unit", *_group("trajectory", "max_knots"))

@@ -121,7 +121,7 @@ class AxisSettings:
     """How the real axis is reached."""
 
     kind: str = setting(
-        "kind of axis link: beam, trajectory_controller, odrive, csv, or one that an installed package adds"
+        "kind of axis link: beam, trajectory_controller, odrive, dynamixel, csv, or another that a package adds"
     )
     prove_watchdog: bool = setting("fall silent once in every connection and see the device notice")
     accept_no_device_limits: bool = setting(
@@ -129,6 +129,12 @@ class AxisSettings:
     )
     accept_no_device_watchdog: bool = setting(
         "also drive an axis that does not stop when this host falls silent"
+    )
+    drive_watchdog: float = setting(
+        "trajectory_controller: silence of its master after which the drive stops, as you state; 0: it does not",
+        "s",
+        0.0,
+        60.0,
     )
     home: Literal["here", "device"] = setting(
         "other controllers: where hub/home finds home: here, or its own zero"
@@ -169,6 +175,13 @@ class OdriveSettings:
     """The ODrive that moves the hub, for axis.kind odrive."""
 
     axis: int = setting("number of its axis", "", 0, 1)
+
+
+@dataclass(frozen=True)
+class DynamixelSettings:
+    """The servo that moves the hub, for axis.kind dynamixel."""
+
+    id: int = setting("its number on the bus", "", 0, 252)
 
 
 @dataclass(frozen=True)
@@ -407,7 +420,17 @@ class ExcitationSettings:
     )
     profile: Literal["bounded_jerk", "quintic", "cycloidal"] = live("how speed grows and falls in the moves")
     jerk: float = live("largest jerk of the moves", "m/s^3", 0.001, 1e6)
-    dwell: float = live("time of rest at every way-point", "s", 0.0, 3600.0)
+    dwell: float = live("time of rest at every way-point, and around a shaped move", "s", 0.0, 3600.0)
+    move_from: float = live("where a shaped move begins", "m", -1.0, 1.0, within=("hub.travel", 0.5))
+    move_to: float = live("where it ends", "m", -1.0, 1.0, within=("hub.travel", 0.5))
+    move_aim: float = live("swing below which a shaped move was made to stay", "m", 1e-9, 1.0)
+    command_period: float = live("tick for which a shaped move was made", "s", 1e-6, 1.0)
+    command: tuple[float, ...] = live(
+        "accelerations of a shaped move at its ticks; beam shape writes them", "m/s^2", -1e3, 1e3
+    )
+    file: str = live("file of columns with a trajectory of one's own: its time, and one motion")
+    file_values: str = live("its position, velocity or acceleration, as x,unit=mm; empty: found by its unit")
+    file_time: str = live("its time, as t,unit=ms, or rate=1000 [Hz] of its rows; empty: found by its name")
     start_delay: float = live(
         "time from handing a sequence over to its start; a busy computer needs longer", "s", 0.5, 60.0
     )
@@ -447,7 +470,7 @@ class PlayerSettings:
 class IdentifierSettings:
     """The bag that is identified, and how."""
 
-    bag: str = live("folder of the bag; several with ; between are one fit")
+    bag: str = live("folder of the bag, or a file of columns; several with ; between are one fit")
     validate: str = live("bags that the model is scored on, with ; between")
     report: str = live("folder for report and model; empty: beside the bag")
     overwrite: bool = live("write over a report that is there")
@@ -487,8 +510,11 @@ class IdentifierSettings:
     encoder: Literal["hub", "drive"] = live(
         "with axis whose position the axis measures; drive: the stiffness is looked for, also of an unknown mass"
     )
-    input: str = live("TOPIC:FIELD of the input; empty: the hub")
-    outputs: str = live("TOPIC:FIELD of every output, with ; between; empty: the markers")
+    input: str = live("TOPIC:FIELD of the input, or a file's column; empty: the hub")
+    outputs: str = live(
+        "TOPIC:FIELD of every output, or a file's columns, with ; between; empty: the markers"
+    )
+    time: str = live("a file's column with the time, or rate=1000 [Hz] of its rows; empty: found by its name")
     signals: str = live("YAML file of input and outputs")
     operator: str = live("who answers for the experiment, for the report")
     temperature_uncertainty: float = live(
@@ -496,6 +522,9 @@ class IdentifierSettings:
         "K",
         0.0,
         100.0,
+    )
+    figures: Literal["none", "sheet", "all"] = live(
+        "which figures the report draws: none, those of the sheet to sign, or those of the evidence behind it too"
     )
     pdf: bool = live("print the report to report.pdf, by an installed Chromium")
 
@@ -511,6 +540,7 @@ class RigParameters:
     serial: SerialSettings
     trajectory: TrajectorySettings
     odrive: OdriveSettings
+    dynamixel: DynamixelSettings
     csv: CsvSettings
     emulator: EmulatorSettings
     faults: FaultSettings

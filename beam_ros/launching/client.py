@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import time
 from collections.abc import Callable
 from typing import Any
@@ -20,6 +19,7 @@ from beam_ros.hub.parameters import LinkParameters
 from beam_ros.interfaces import graph
 from beam_ros.messages import RosTypes
 from beam_ros.shell.node import qos_profile
+from beam_ros.shell.other_hubs import count_hubs, reach, two_hubs
 
 _SPIN_S = 0.05
 _LOOK_ROUND_S = 3.5
@@ -107,12 +107,6 @@ class RigClient:
         name = self._node.resolve_topic_name("hub/measured").lstrip("/")
         return self.recorded.get(name, 0) > 0
 
-    @staticmethod
-    def reach() -> str:
-        """Say in which domain and how far this process looks for nodes."""
-        domain = os.environ.get("ROS_DOMAIN_ID", "0")
-        return f"ROS_DOMAIN_ID={domain}, range {os.environ.get('ROS_AUTOMATIC_DISCOVERY_RANGE', 'SUBNET')}"
-
     def refuse_live_hub(self) -> None:
         """Look round and raise where a hub, or what speaks like one, is on the graph already.
 
@@ -124,16 +118,13 @@ class RigClient:
         end = time.monotonic() + _LOOK_ROUND_S
         while time.monotonic() < end:
             self._executor.spin_once(timeout_sec=_SPIN_S)
-        if ("hub", self._node.get_namespace()) in self._node.get_node_names_and_namespaces():
-            raise RigUnavailableError(
-                f"a hub is already on this graph ({self.reach()}): two would act on every command; end the other "
-                "rig, or give this one another --namespace or ROS_DOMAIN_ID"
-            )
+        if count_hubs(self._node):
+            raise RigUnavailableError(two_hubs())
         for topic in ("hub/state", "hub/measured"):
             name = self._node.resolve_topic_name(topic)
             for info in self._node.get_publishers_info_by_topic(name):
                 raise RigUnavailableError(
-                    f"node `{info.node_name}` publishes {name} on this graph ({self.reach()}), as a replay does: "
+                    f"node `{info.node_name}` publishes {name} on this graph ({reach()}), as a replay does: "
                     "what it says would look live; end it, or give this rig another --namespace or ROS_DOMAIN_ID"
                 )
 
@@ -190,7 +181,7 @@ class RigClient:
         """
         service_class = self._types.service_class(graph.SERVICES[service].type_name)
         client = self._node.create_client(service_class, service)
-        log_hint = f"is the rig up (`beam up`) on {self.reach()}? If so, its nodes' logs say more"
+        log_hint = f"is the rig up (`beam up`) on {reach()}? If so, its nodes' logs say more"
         try:
             self.wait(client.service_is_ready, timeout_s, f"service {service} did not appear", log_hint)
             request = service_class.Request()

@@ -9,8 +9,6 @@ from beam_ros.interfaces.graph import RigKind
 from beam_ros.rig.rig import Rig
 from beam_ros.rig.time_keeping import check_time_of_rig
 
-_PORT_KINDS = ("beam", "odrive", "csv")
-
 
 def refuse_what_cannot_run(kind: RigKind, rig: Rig, bag: Path | None = None) -> None:
     """Raise where a rig cannot be started as it is asked for.
@@ -28,7 +26,7 @@ def refuse_what_cannot_run(kind: RigKind, rig: Rig, bag: Path | None = None) -> 
     """
     refuse_existing(bag)
     check_time_of_rig(kind, rig)
-    if kind is RigKind.REAL and rig.axis.kind in _PORT_KINDS and not rig.serial.port:
+    if kind is RigKind.REAL and rig.lacks_port:
         raise UsageError(
             "--rig real needs the controller's port: expected serial.port in the rig file, or "
             "-p serial.port:=/dev/ttyACM0"

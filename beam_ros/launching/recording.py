@@ -19,6 +19,7 @@ from beam_ros.launching.processes import NodeGroup, PrivateDomain, node_argument
 from beam_ros.process.progress import Progress
 from beam_ros.rig.rig import Rig
 from beam_ros.rig.time_keeping import check_time_of_rig
+from beam_ros.shell.other_hubs import reach
 
 START_TIMEOUT_S = 30.0
 PATIENT_WATCHDOG_S = 1.0
@@ -68,7 +69,7 @@ def record_live(rig: Rig, kind: RigKind, bag: Path, logs: Path) -> None:
             for executable in (*nodes_of_rig(kind, with_camera_images=has_images), "bag_recorder"):
                 nodes.start(executable, node_arguments(executable, here, rig_file))
             wait_for_rig(client, logs, START_TIMEOUT_S + rig.serial.patience, stage.update)
-            stage.finish(f"{len(nodes.nodes)} nodes, {client.reach()}")
+            stage.finish(f"{len(nodes.nodes)} nodes, {reach()}")
         measure(here, client, has_images=has_images)
         statuses = nodes.end()
         if any(statuses.values()):

@@ -218,6 +218,7 @@ class BagRecorder(RigNode):
         if self._recording is not None:
             with contextlib.suppress(BagError):
                 self._stop()
+            self.say_last(self._state, messages.json_text(self.types, self._describe()))
 
     @property
     def failure(self) -> str:

@@ -31,6 +31,13 @@ class _StartRequest:
     lead: StartLead | None = None
 
 
+STOP_LIMIT_S = 5.0
+"""A hub answers a stop at rest: after its ramp, and 0.3 s, in all below two seconds [s]."""
+
+FROZEN_NS = 1_000_000_000
+"""The design in another thread keeps this process busy for less; no axis stops by its silence [ns]."""
+
+
 class ExcitationGenerator(RigNode):
     """Hands over one sequence at a time and follows what becomes of it."""
 
@@ -42,7 +49,7 @@ class ExcitationGenerator(RigNode):
         self._current: HandingOver | None = None
         self._states = self.listen("hub/sequence_state", self._on_sequence_state)
         self.listen("hub/state", self._on_hub_state, raw=True)
-        self._freeze = FreezeWatch()
+        self._freeze = FreezeWatch(FROZEN_NS)
         self._planned: ExcitationPlan | str | None = None
         self._planning: threading.Thread | None = None
         self._request: _StartRequest | None = None
@@ -175,7 +182,15 @@ class ExcitationGenerator(RigNode):
         if not self._hub_stop.service_is_ready():
             response.success, response.message = False, "hub/stop is not there: use the switch on the axis"
             return response
-        stopped = await self._hub_stop.call_async(self._hub_stop.srv_type.Request())
+        answer = self._hub_stop.call_async(self._hub_stop.srv_type.Request())
+        limit = self.create_timer(STOP_LIMIT_S, answer.cancel)
+        stopped = await answer
+        self.destroy_timer(limit)
+        if stopped is None:
+            late = f"hub/stop has not answered in {STOP_LIMIT_S:g} s"
+            response.success = False
+            response.message = f"{late}: see that the axis stands still, or use the switch on the axis"
+            return response
         response.success, response.message = stopped.success, f"hub/stop: {stopped.message}"
         return response
 

@@ -19,6 +19,7 @@ from beam_ros import messages
 from beam_ros.arrays import FloatArray, StampArray
 from beam_ros.bags.errors import BagError, BagExistsError, MissingTopicsError
 from beam_ros.bags.reading import Bag
+from beam_ros.bags.stamped_rows import StampedRows
 from beam_ros.bags.writing import BagWriter
 from beam_ros.interfaces import graph
 from beam_ros.messages import BATCH_FIELDS, SECOND_NS, BagTypes
@@ -175,44 +176,23 @@ def export_flat_bag(bag: Bag, target: Path | str, progress: Progress = lambda sh
             writer.add_topic(signal.topic, graph.JOINT_STATE)
         stamps = np.concatenate([signal.stamps_ns for signal in signals])
         sources = np.repeat(np.arange(len(signals)), [len(signal.stamps_ns) for signal in signals])
-        rows = np.concatenate([np.arange(len(signal.stamps_ns)) for signal in signals])
         order = np.argsort(stamps, kind="stable")
-        samples = [_JointStateRows(signal) for signal in signals]
+        samples = [_rows_of(signal).rows(signal.stamps_ns, signal.values) for signal in signals]
         for first in range(0, total, _ROWS_AT_ONCE):
+            # Among those of one signal the order of time is that of its rows.
             for k in order[first : first + _ROWS_AT_ONCE]:
                 source = sources[k]
-                writer.write(signals[source].topic, int(stamps[k]), samples[source].row(int(rows[k])))
+                writer.write(signals[source].topic, int(stamps[k]), next(samples[source]))
             progress(min(first + _ROWS_AT_ONCE, total) / total)
         return writer.message_count
 
 
-class _JointStateRows:
-    """The CDR bytes of a JointState for any row of a signal, made by filling in one prepared message."""
-
-    def __init__(self, signal: _Signal) -> None:
-        types = BagTypes()
-        # Displacements have the names of the markers, as on the graph.
-        unit = "_m" if signal.topic == "beam/displacement" else ""
-        names = [name.removesuffix(unit) for name in signal.columns]
-        zeros = np.zeros(len(names))
-        message = messages.displacement(types, 0, names, zeros)
-        self._template = types.serialize(message, graph.JOINT_STATE)
-        seconds, nanoseconds = np.divmod(signal.stamps_ns, SECOND_NS)
-        self._stamps = np.column_stack((seconds, nanoseconds)).astype("<u4")
-        self._values = np.ascontiguousarray(signal.values, dtype="<f8")
-        # After the positions come the lengths of two empty arrays.
-        self._values_end = len(self._template) - 8
-        self._values_start = self._values_end - 8 * len(names)
-
-    def row(self, k: int) -> bytes:
-        """Return the message of row k."""
-        template = self._template
-        return b"".join(
-            (
-                template[:4],
-                self._stamps[k].tobytes(),
-                template[12 : self._values_start],
-                self._values[k].tobytes(),
-                template[self._values_end :],
-            )
-        )
+def _rows_of(signal: _Signal) -> StampedRows:
+    """Return what makes a JointState of any row of a signal."""
+    types = BagTypes()
+    # Displacements have the names of the markers, as on the graph.
+    unit = "_m" if signal.topic == "beam/displacement" else ""
+    names = [name.removesuffix(unit) for name in signal.columns]
+    message = messages.displacement(types, 0, names, np.zeros(len(names)))
+    # After the positions come the lengths of two empty arrays.
+    return StampedRows(types.serialize(message, graph.JOINT_STATE), len(names), 8)

@@ -24,7 +24,19 @@ from beam_ident import (
 from beam_ident.amplitude.curves import AmplitudeCurves, amplitude_curves, driven_amplitude_curves
 from beam_ident.amplitude.free_stretches import free_decay_of
 from beam_ident.amplitude.linearity import Linearity, linearity
+from beam_ident.report.evidence import (
+    Agreement,
+    ErrorSources,
+    ModeRow,
+    Theory,
+    Unseen,
+    beside_theory,
+    mode_rows,
+)
+from beam_ident.report.gates import Gate
 from beam_ident.report.page import write_whole
+from beam_ident.report.verdict import judge
+from beam_ros.bags.apparatus import simulated_line
 from beam_ros.errors import UsageError
 from beam_ros.offline.axis_bag import identify_axis_of, rig_values
 from beam_ros.offline.best_linear import best_linear_of
@@ -32,17 +44,24 @@ from beam_ros.offline.identification_summary import SCHEMA, describe, validation
 from beam_ros.offline.loading.experiment import Experiment, load_experiment
 from beam_ros.offline.loading.options import FitOptions
 from beam_ros.offline.loading.seen_data import refuse_shared
+from beam_ros.offline.theory import error_sources, theory_of_rig
 from beam_ros.process.folders import new_folder
 from beam_ros.process.remote_paths import AnyPath
 from beam_ros.process.strict_json import strict_json
 from beam_ros.rig.rig import Rig
 
 Progress = Callable[[str, float], None]
+Checked = Callable[[AnyPath, FitOptions], Sequence[Gate]]
+
+
+def nothing_checked(bag: AnyPath, options: FitOptions) -> Sequence[Gate]:
+    """Return no gates, where nobody looks at a bag before it is fitted."""
+    return ()
 
 
 @dataclass(frozen=True, eq=False)
-class Identification:
-    """An identification with everything that a report says of it.
+class IdentificationOutcome:
+    """What came of bags: data, models, checks, validations and the verdict on them, for every page that shows it.
 
     Attributes
     ----------
@@ -51,6 +70,11 @@ class Identification:
     result : Result
     unseen : tuple of (Experiment, tuple of ValidationResult)
         What the models were scored on, and how each of them did there.
+    modes : tuple of ModeRow -- every mode with all that is not known of it
+    theory : Theory or None -- of the rig, where the bag describes it
+    agreement : Agreement or None -- of the modes with theory
+    sources : ErrorSources -- what the scatter of the samples cannot show
+    gates : tuple of Gate -- what was looked at in the data before the fit
     content : mapping -- the same in plain numbers: what ``identification/result`` carries and ``--json`` prints
     curves : AmplitudeCurves or None -- of frequency and damping over amplitude, where they were asked for
     best_linear : BestLinearApproximation or None -- noise and distortion by line, where they were asked for
@@ -62,6 +86,11 @@ class Identification:
     options: FitOptions
     result: Result
     unseen: tuple[tuple[Experiment, tuple[ValidationResult, ...]], ...]
+    modes: tuple[ModeRow, ...]
+    theory: Theory | None
+    agreement: Agreement | None
+    sources: ErrorSources
+    gates: tuple[Gate, ...]
     content: Mapping[str, Any]
     curves: AmplitudeCurves | None = None
     best_linear: BestLinearApproximation | None = None
@@ -72,6 +101,13 @@ class Identification:
     def experiment(self) -> Experiment:
         """The first experiment, whose rig and structure hold for all."""
         return self.experiments[0]
+
+    @property
+    def simulated(self) -> str:
+        """What a page must say under its title where no beam was measured; empty where all data are measured."""
+        return simulated_line(
+            one.apparatus for one in (*self.experiments, *(other for other, _ in self.unseen))
+        )
 
 
 def identify_bag(
@@ -115,8 +151,10 @@ def identification_of_bags(
     validation: AnyPath | Sequence[AnyPath] | None = None,
     start_s: float | None = None,
     end_s: float | None = None,
+    checked: Checked = nothing_checked,
+    temperature_k: float | None = None,
     progress: Progress = lambda phrase, share: None,
-) -> Identification:
+) -> IdentificationOutcome:
     """Identify a model from a bag, or several, and keep everything for a report.
 
     Parameters
@@ -127,6 +165,8 @@ def identification_of_bags(
     estimator, structure, n_modes : optional -- these options instead of those in ``options``
     validation : Path or sequence of Path, optional -- other bags, on which the model is scored
     start_s, end_s : float, optional -- only what lies between these times after the first message of each bag [s]
+    checked : callable -- called with every bag before anything is fitted; returns what was looked at in it
+    temperature_k : float, optional -- standard uncertainty of the beam's temperature [K]
     progress : callable -- called with a phrase and the share done
 
     Raises
@@ -141,6 +181,7 @@ def identification_of_bags(
         n_modes=n_modes or options.n_modes,
     )
     find_estimator(options.estimator)
+    gates = [gate for one in _several(path) for gate in checked(one, options)]
     if options.axis and options.structure == "auto" and options.signals.drive is None:
         # From force to motion leads the axis with its friction; the beam answers to the motion, which is measured.
         options = replace(options, structure="base_motion")
@@ -171,12 +212,22 @@ def identification_of_bags(
         if not notes:
             raise
         raise type(err)(f"{err}. Of the bag: {'; '.join(notes)}") from err
-    content = describe(experiments, options.estimator, result)
+    models, is_simulated = models_of(result), all(one.apparatus.is_simulated for one in experiments)
+    sources = error_sources(experiment.structure, models, temperature_k, is_simulated)
+    modes = tuple(mode_rows(models, sources))
+    theory = agreement = None
+    if experiment.rig is not None and modes:
+        theory = theory_of_rig(experiment.rig, experiment.structure, is_simulated, temperature_k)
+        agreement = beside_theory(modes, theory)
+    content = describe(experiments, options.estimator, result, modes, agreement)
     seen = tuple((one, _validated(one, result)) for one in unseen)
     if seen:
         content["validation"] = [
             {"bag": str(one.path), "scores": validation_scores(results)} for one, results in seen
         ]
+    unseen_parts = [Unseen(one.path.name, results) for one, results in seen]
+    verdict = judge(result, gates, unseen_parts, agreement)
+    content["verdict"] = {"tone": verdict.tone, "text": verdict.text, "reasons": list(verdict.reasons)}
     found_linear = None
     if isinstance(result, IdentificationResult) and result.model.n_modes:
         found_linear = linearity(records, result.model)
@@ -191,16 +242,35 @@ def identification_of_bags(
     axis = None
     if options.axis:
         progress("the axis", 0.0)
-        paths = [one.path for one in experiments]
-        axis = identify_axis_of(
-            paths, experiment.rig, content["notes"], encoder=options.encoder, drive_mass=options.drive_mass
-        )
-        content["axis"] = axis.to_dict()
-        if experiment.rig is not None:
-            content["rig_values"] = rig_values(axis, experiment.rig)
-    return Identification(
-        tuple(experiments), options, result, seen, content, curves, best_linear, found_linear, axis
+        axis = _axis_of(experiments, options, content)
+    return IdentificationOutcome(
+        experiments=tuple(experiments),
+        options=options,
+        result=result,
+        unseen=seen,
+        modes=modes,
+        theory=theory,
+        agreement=agreement,
+        sources=sources,
+        gates=tuple(gates),
+        content=content,
+        curves=curves,
+        best_linear=best_linear,
+        linearity=found_linear,
+        axis=axis,
     )
+
+
+def _axis_of(experiments: Sequence[Experiment], options: FitOptions, content: dict[str, Any]) -> AxisResult:
+    """Return the axis that bags show, and put it into what is stored."""
+    rig, paths = experiments[0].rig, [one.path for one in experiments]
+    axis = identify_axis_of(
+        paths, rig, content["notes"], encoder=options.encoder, drive_mass=options.drive_mass
+    )
+    content["axis"] = axis.to_dict()
+    if rig is not None:
+        content["rig_values"] = rig_values(axis, rig)
+    return axis
 
 
 def _over_amplitude(
@@ -234,7 +304,7 @@ def _validated(unseen: Experiment, result: Result) -> tuple[ValidationResult, ..
     return tuple(validate(model, list(unseen.records)) for model in models_of(result))
 
 
-def write_models(found: Identification, path: Path) -> Path:
+def write_models(found: IdentificationOutcome, path: Path) -> Path:
     """Write the models of an identification with its summary as JSON; the file appears whole or not at all."""
     stored = [model.to_dict() for model in models_of(found.result)]
     models = {"model": stored[0]} if len(stored) == 1 else {"models": stored}

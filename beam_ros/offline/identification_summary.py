@@ -18,25 +18,49 @@ from beam_ident import (
     ValidationResult,
     models_of,
 )
-from beam_ros.offline.loading.described_rig import theoretical_modes
+from beam_ident.report.evidence import Agreement, ModeRow
 from beam_ros.offline.loading.experiment import Experiment
 
 SCHEMA = 1
 _MOST_DEVIATIONS = 999
+_HERTZ = 2.0 * math.pi
 
 
-def describe(experiments: Sequence[Experiment], estimator: str, result: Result) -> dict[str, Any]:
-    """Summarise an identification in plain numbers, beside the theory of its rig."""
+def describe(
+    experiments: Sequence[Experiment],
+    estimator: str,
+    result: Result,
+    modes: Sequence[ModeRow],
+    agreement: Agreement | None,
+) -> dict[str, Any]:
+    """Summarise an identification in plain numbers, beside the theory of its rig.
+
+    Parameters
+    ----------
+    experiments : sequence of Experiment
+    estimator : str
+    result : Result
+    modes : sequence of ModeRow -- with all their uncertainties
+    agreement : Agreement or None -- of the modes with theory
+    """
     experiment = experiments[0]
     content: dict[str, Any] = {
         "schema": SCHEMA,
         "bag": str(experiment.path),
         "bags": [str(one.path) for one in experiments],
+        "apparatus": experiment.apparatus.kind,
         "estimator": estimator,
         "structure": experiment.structure,
         "outputs": list(experiment.output_names),
-        "modes": _modes(experiment, result),
+        "modes": _modes(result, modes, agreement),
     }
+    if agreement is not None and agreement.beside:
+        content["theory"] = {
+            "chi_squared": agreement.chi_squared,
+            "modes": len(agreement.beside),
+            "p_value": agreement.p_value,
+            "verdict": agreement.verdict,
+        }
     model = models_of(result)[0]
     if isinstance(model, ModalModel):
         content |= {
@@ -58,36 +82,31 @@ def describe(experiments: Sequence[Experiment], estimator: str, result: Result) 
     return content | {"converged": result.converged, "warnings": list(result.warnings), "notes": notes}
 
 
-def _modes(experiment: Experiment, result: Result) -> list[dict[str, Any]]:
+def _modes(result: Result, modes: Sequence[ModeRow], agreement: Agreement | None) -> list[dict[str, Any]]:
     """Return every mode, beside the nearest of theory where there is one; by output where each has its own poles."""
-    theory = theoretical_modes(experiment.rig, experiment.structure) if experiment.rig else None
-    found: dict[tuple[float, ...], Any] = {}
-    for model in models_of(result):
-        modes = model.modes() if hasattr(model, "modes") else ((), (), (), ())
-        found.setdefault(tuple(modes[0]), (model, modes))
     rows = []
     doubts = iter(result.doubts if isinstance(result, IdentificationResult) else ())
-    hertz = 2.0 * math.pi
-    for model, modes in found.values():
-        for omega, zeta, omega_sd, zeta_sd in zip(*modes, strict=True):
-            row: dict[str, Any] = {
-                "frequency_hz": float(omega / hertz),
-                "frequency_sd_hz": float(omega_sd / hertz),
-                "damping_ratio": float(zeta),
-                "damping_ratio_sd": float(zeta_sd),
+    for mode in modes:
+        parts = mode.of_omega._asdict().items()
+        row: dict[str, Any] = {
+            "frequency_hz": mode.omega / _HERTZ,
+            "frequency_sd_hz": mode.omega_sd / _HERTZ,
+            "frequency_sd_parts_hz": {name: part / _HERTZ for name, part in parts if math.isfinite(part)},
+            "damping_ratio": mode.zeta,
+            "damping_ratio_sd": mode.zeta_sd,
+        }
+        beside = None if agreement is None else agreement.of(mode)
+        if beside is not None:
+            row |= {
+                "theory_mode": beside.number,
+                "theory_frequency_hz": beside.predicted / _HERTZ,
+                "theory_frequency_sd_hz": beside.predicted_sd / _HERTZ,
+                "theory_damping_ratio": beside.damping_ratio,
+                "frequency_z": beside.z,
+                "damping_ratio_z": beside.damping_z,
             }
-            if theory is not None:
-                omegas, zetas = theory
-                nearest = int(np.argmin(np.abs(np.log(omegas / omega))))
-                row |= {
-                    "theory_mode": nearest + 1,
-                    "theory_frequency_hz": float(omegas[nearest] / hertz),
-                    "theory_damping_ratio": float(zetas[nearest]),
-                    "frequency_z": float((omega - omegas[nearest]) / omega_sd),
-                    "damping_ratio_z": float((zeta - zetas[nearest]) / zeta_sd),
-                }
-            row["doubt"] = next(doubts, "")
-            rows.append(row if len(found) == 1 else {"output": model.output_name, **row})
+        row["doubt"] = next(doubts, "")
+        rows.append({"output": mode.output, **row} if mode.output else row)
     return rows
 
 
@@ -127,6 +146,7 @@ def validation_scores(results: Sequence[ValidationResult]) -> dict[str, dict[str
             "deflection_fit_percent": output.deflection_scores.fit_percent,
             "fit_from_rest_percent": output.simulation_scores.fit_percent,
             "residual_over_noise": output.noise_ratio,
+            "is_independent": output.input_correlation.is_independent,
             "verdict": output.verdict,
         }
         for result in results
@@ -158,7 +178,7 @@ def format_table(content: Mapping[str, Any]) -> str:
             f"{mode.get('output', k):>4} {mode['frequency_hz']:>13.{decimals}f} +- {_or_dash(f_sd, '<8.2g')} "
         )
         damping = f"{100 * mode['damping_ratio']:>8.5f} +- {_or_dash(zeta_sd, '<8.2g')} "
-        if has_theory:
+        if "theory_mode" in mode:
             frequency += (
                 f"{mode['theory_frequency_hz']:>13.{decimals}f} {_deviations(mode['frequency_z'])}      "
             )

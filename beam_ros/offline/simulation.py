@@ -14,6 +14,7 @@ import numpy as np
 
 from beam_ros import messages
 from beam_ros.arrays import ByteArray
+from beam_ros.bags.apparatus import SIMULATED_SEQUENCE
 from beam_ros.bags.batches import encode_batch
 from beam_ros.bags.writing import BagWriter
 from beam_ros.errors import RigUnavailableError
@@ -99,9 +100,9 @@ def simulate(
         run.ask("enable")
         start_ns = run.now_ns + _LEAD_NS
         period_ns = parameters.period_ns
-        info = {**plan.info(rig), "sequence_id": "simulated", "start_ns": start_ns}
+        info = {**plan.info(rig), "sequence_id": SIMULATED_SEQUENCE, "start_ns": start_ns}
         bag.write_message("excitation/info", run.now_ns, messages.json_text(types, info))
-        for chunk in messages.split_sequence("simulated", start_ns, period_ns, plan.values):
+        for chunk in messages.split_sequence(SIMULATED_SEQUENCE, start_ns, period_ns, plan.values):
             hub.load(chunk, run.now)
         total_s = (_LEAD_NS + len(plan.values) * period_ns) * 1e-9
         begun_ns = run.now_ns

@@ -122,6 +122,11 @@ def _named(name: str, models: Sequence[Any], model: Any) -> str:
     return f"{name} {model.output_name}" if len(models) > 1 else name
 
 
+def stored_model_file(path: Path) -> Path:
+    """Return the ``model.json`` of a folder, or the file that is given."""
+    return path / _MODEL if (path / _MODEL).is_file() else path
+
+
 def stored_models(file: Path) -> list[Any]:
     """Return the models of a ``model.json``, or of the folder that holds one.
 
@@ -130,7 +135,7 @@ def stored_models(file: Path) -> list[Any]:
     UsageError
         The file cannot be read, or holds no model.
     """
-    file = file / _MODEL if (file / _MODEL).is_file() else file
+    file = stored_model_file(file)
     try:
         document = json.loads(file.read_text(encoding="utf-8"))
     except (OSError, ValueError) as err:

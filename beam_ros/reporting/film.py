@@ -12,7 +12,8 @@ from beam_ident.report.evidence import fitted_outputs
 from beam_ros.arrays import ImageArray
 from beam_ros.bags.reading import Bag
 from beam_ros.errors import RigUnavailableError
-from beam_ros.offline.identification import Identification
+from beam_ros.files.formats import is_column_file
+from beam_ros.offline.identification import IdentificationOutcome
 
 IMAGES = "camera/image_raw"
 _MAX_FRAMES = 1500
@@ -24,13 +25,15 @@ _CODECS = ("vp09", "mp4v")  # the first is what browsers show
 
 
 def write_film(
-    outcome: Identification, path: Path, progress: Callable[[str, float], None] = lambda phrase, share: None
+    outcome: IdentificationOutcome,
+    path: Path,
+    progress: Callable[[str, float], None] = lambda phrase, share: None,
 ) -> str:
     """Write the film of the first experiment; nothing where its bag has no images.
 
     Parameters
     ----------
-    outcome : Identification
+    outcome : IdentificationOutcome
     path : Path -- of the film, .mp4
     progress : callable -- called with a phrase and the share done
 
@@ -52,7 +55,7 @@ def write_film(
         from beam_ros.vision.camera.image_messages import read_image
     except ImportError:
         return ""
-    if experiment.rig is None:
+    if experiment.rig is None or is_column_file(experiment.path):
         return ""
     with Bag(experiment.path) as bag:
         n_frames = min(bag.count(IMAGES), _MAX_FRAMES)

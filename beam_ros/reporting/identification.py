@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -10,18 +10,23 @@ from typing import Any
 import numpy as np
 
 from beam_ident import IdentificationError, TimeRecord, models_of, run_estimator
-from beam_ident.report.evidence import Trial, Unseen, mode_rows
-from beam_ident.report.gates import Gate
+from beam_ident.report.evidence import Trial, Unseen
 from beam_ident.report.identification import identification_page, poles_table
-from beam_ident.report.page import write_whole
+from beam_ident.report.page import Drawn, write_whole
 from beam_ros.errors import UsageError
 from beam_ros.interfaces.rig_parameters import IdentifierSettings
 from beam_ros.offline.axis_bag import rig_file_of
-from beam_ros.offline.identification import Identification, Progress, identification_of_bags, write_models
+from beam_ros.offline.identification import (
+    Checked,
+    IdentificationOutcome,
+    Progress,
+    identification_of_bags,
+    nothing_checked,
+    write_models,
+)
 from beam_ros.offline.loading.experiment import Experiment
 from beam_ros.offline.loading.options import FitOptions, paths
 from beam_ros.process.folders import new_folder
-from beam_ros.process.remote_paths import AnyPath
 from beam_ros.reporting.film import write_film
 from beam_ros.reporting.printing import find_browser, print_pdf
 from beam_ros.reporting.provenance import (
@@ -30,7 +35,6 @@ from beam_ros.reporting.provenance import (
     provenance_of_rig,
     provenance_of_software,
 )
-from beam_ros.reporting.theory import error_sources, theory_of_rig
 from beam_ros.rig.rig import Rig
 
 _FIGURES = "figures"
@@ -66,7 +70,7 @@ def identify_told(
     settings: IdentifierSettings,
     rig: Rig | None = None,
     progress: Progress = lambda phrase, share: None,
-    checked: Callable[[AnyPath, FitOptions], Sequence[Gate]] = lambda bag, options: (),
+    checked: Checked = nothing_checked,
     start_s: float | None = None,
     end_s: float | None = None,
 ) -> dict[str, Any]:
@@ -97,7 +101,6 @@ def identify_told(
         new_folder(folder, settings.overwrite)
         if settings.pdf:
             find_browser()
-    gates = [gate for bag in bags for gate in checked(bag, options)]
     found = identification_of_bags(
         bags,
         rig=rig,
@@ -105,6 +108,8 @@ def identify_told(
         validation=paths(settings.validate),
         start_s=start_s,
         end_s=end_s,
+        checked=checked,
+        temperature_k=settings.temperature_uncertainty or None,
         progress=progress,
     )
     if folder is None:
@@ -112,39 +117,36 @@ def identify_told(
     files = report_identification(
         found,
         folder,
-        gates=gates,
         overwrite=True,  # what must not be lost was refused above
         pdf=settings.pdf,
         operator=settings.operator,
-        temperature_k=settings.temperature_uncertainty or None,
+        drawn=settings.figures,
         progress=progress,
     )
     return {**found.content, **files.to_dict()}
 
 
 def report_identification(
-    found: Identification,
+    found: IdentificationOutcome,
     folder: Path,
     *,
-    gates: Sequence[Gate] = (),
     overwrite: bool = False,
     pdf: bool = False,
     operator: str = "",
-    temperature_k: float | None = None,
     made: str = "",
+    drawn: Drawn = "sheet",
     progress: Progress = lambda phrase, share: None,
 ) -> Files:
     """Write the report of an identification, its model, poles, figures and film.
 
     Parameters
     ----------
-    found : Identification
+    found : IdentificationOutcome
     folder : Path
-    gates : sequence of Gate -- what was looked at in the data before the fit
     overwrite : bool -- whether files that are there may be replaced
     pdf : bool -- whether a browser prints the page too
     operator : str -- who answers for the experiment
-    temperature_k : float, optional -- standard uncertainty of the beam's temperature [K]
+    drawn : "none", "sheet" or "all" -- which figures are drawn: those of the sheet to sign, or of the evidence too
     made : str -- the date that the report bears; empty: now
     progress : callable -- called with a phrase and the share done
 
@@ -156,8 +158,6 @@ def report_identification(
     new_folder(folder, overwrite)
     progress("writing the report", 0.0)
     experiment = found.experiment
-    models = models_of(found.result)
-    modes = mode_rows(models)
     film = folder / "film.mp4"
     shows = write_film(found, film, progress)
     links = [("The model, for computers", "model.json"), ("The poles, as a table", "poles.csv")]
@@ -166,15 +166,14 @@ def report_identification(
         f"Identification from {experiment.path.resolve().parent.name}/{experiment.path.name}",
         [record for one in found.experiments for record in one.records],
         found.result,
-        provenance=_provenance(found, operator, temperature_k, made),
+        provenance=_provenance(found, operator, made),
         notes=[note for one in found.experiments for note in one.notes],
-        gates=gates,
+        gates=found.gates,
+        simulated=found.simulated,
         validation=[Unseen(other.path.name, results) for other, results in found.unseen],
-        theory=None
-        if experiment.rig is None or not modes
-        else theory_of_rig(experiment.rig, experiment.structure, modes),
-        sources=error_sources(experiment.structure, models, temperature_k),
-        trials=[trial_of(one, found.options, len(modes)) for one in found.experiments]
+        theory=found.theory,
+        sources=found.sources,
+        trials=[trial_of(one, found.options, len(found.modes)) for one in found.experiments]
         if len(found.experiments) > 1
         else (),
         curves=found.curves,
@@ -182,11 +181,13 @@ def report_identification(
         linearity=found.linearity,
         axis=found.axis,
         links=links,
+        operator=operator,
+        drawn=drawn,
     )
     report = page.write(folder / "report.html", overwrite)
     model = write_models(found, folder / "model.json")
     poles = folder / "poles.csv"
-    write_whole(poles, poles_table(modes))
+    write_whole(poles, poles_table(found.modes))
     drawings = []
     for name, svg in page.figures.items():
         drawings.append(folder / _FIGURES / f"{name}.svg")
@@ -234,12 +235,10 @@ def deflection_of(record: TimeRecord) -> float:
     return largest
 
 
-def _provenance(
-    found: Identification, operator: str, temperature_k: float | None, made: str
-) -> dict[str, Mapping[str, Any]]:
+def _provenance(found: IdentificationOutcome, operator: str, made: str) -> dict[str, Mapping[str, Any]]:
     asked = {"estimator": found.options.estimator, "structure": found.experiment.structure}
-    if temperature_k is not None:
-        asked["temperature known to"] = f"{temperature_k:g} K"
+    if found.sources.temperature_k is not None:
+        asked["temperature known to"] = f"{found.sources.temperature_k:g} K"
     groups: dict[str, Mapping[str, Any]] = {"Report": provenance_of_report(operator, asked, made)}
     for one in found.experiments:
         groups[f"Bag {one.path.name}"] = provenance_of_bag(one)

@@ -6,13 +6,17 @@ import platform
 from collections.abc import Mapping
 from datetime import datetime, timezone
 from importlib import metadata
+from pathlib import Path
 from typing import Any
 
+import beam_ros
 from beam_ros.excitation.recipes import describe_excitation
+from beam_ros.files.formats import is_column_file
 from beam_ros.interfaces.rig_parameters import RIG_PARAMETERS
 from beam_ros.offline.loading.experiment import Experiment
 from beam_ros.process.checksums import checksum
 from beam_ros.process.remote_paths import AnyPath
+from beam_ros.rig.provenance import git_state
 from beam_ros.rig.rig import Rig
 
 _GROUPS = ("beam", "markers", "hub", "camera")  # what a rig is, beside how it is simulated and driven
@@ -31,10 +35,9 @@ def provenance_of_bag(experiment: Experiment) -> dict[str, str]:
     """Return where an experiment comes from: its bag, when it was, what drove it."""
     record, info = experiment.record, experiment.info
     first, last = record.inputs[0].span_s
-    began = datetime.fromtimestamp(record.start_ns * 1e-9, timezone.utc)
     entries = {
         "path": str(experiment.path),
-        "began": f"{began:%Y-%m-%d %H:%M:%S} UTC",
+        **({} if is_column_file(experiment.path) else {"began": experiment.apparatus.date(record.start_ns)}),
         "length": f"{last - first:.3f} s",
         "structure": experiment.structure,
         "excitation": describe_excitation(info) if info else "not recorded",
@@ -59,7 +62,12 @@ def provenance_of_rig(rig: Rig) -> dict[str, str]:
 
 def provenance_of_software() -> dict[str, str]:
     """Return the versions of what computed a report, and the machine's kind."""
-    versions = {"Python": platform.python_version(), "machine": f"{platform.system()} {platform.machine()}"}
+    commit = git_state(Path(beam_ros.__file__).resolve().parent) or "not in a source tree"
+    versions = {
+        "commit": commit,
+        "Python": platform.python_version(),
+        "machine": f"{platform.system()} {platform.machine()}",
+    }
     for name in _PACKAGES:
         try:
             versions[name] = metadata.version(name)

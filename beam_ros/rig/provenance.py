@@ -34,18 +34,31 @@ def provenance(rig: Rig, operator: str = "") -> dict[str, str]:
     tree = rig.to_nested()
     calibration = str(tree["tracker"]["calibration"])
     said = {
+        **machine_provenance(operator),
+        "rig": strict_json(tree),
+        "camera": str(tree["camera"]["name"]),
+        "lens": str(tree["camera"]["focus"]),
+        "calibration_file": calibration,
+        "calibration": _text_of(calibration),
+    }
+    return {name: text for name, text in said.items() if text}
+
+
+def machine_provenance(operator: str = "") -> dict[str, str]:
+    """Return who works on which machine with which versions; what is not known is left out.
+
+    Parameters
+    ----------
+    operator : str -- who answers for it; empty: the user of the machine
+    """
+    said = {
         "operator": operator or _user(),
         "host": platform.node(),
         "system": platform.platform(),
         "python": platform.python_version(),
         "ros": os.environ.get("ROS_DISTRO", ""),
         **{name: _version(name) for name in ("beam_ros", "numpy", "rclpy", "mcap")},
-        "git": _git_state(Path(__file__).resolve().parent),
-        "rig": strict_json(tree),
-        "camera": str(tree["camera"]["name"]),
-        "lens": str(tree["camera"]["focus"]),
-        "calibration_file": calibration,
-        "calibration": _text_of(calibration),
+        "git": git_state(Path(__file__).resolve().parent),
     }
     return {name: text for name, text in said.items() if text}
 
@@ -64,7 +77,7 @@ def _version(name: str) -> str:
         return ""
 
 
-def _git_state(folder: Path) -> str:
+def git_state(folder: Path) -> str:
     """Return the commit of the source tree, and whether it was changed since; empty where it is none."""
     answers = []
     for words in (("rev-parse", "HEAD"), ("status", "--porcelain", "--untracked-files=no")):

@@ -25,7 +25,12 @@ from beam_ros.interfaces.rig_parameters import GROUPS, RigParameters, check_para
 if TYPE_CHECKING:
     from beam_model import BeamModel, BeamParameters
     from beam_ros.hub.gate.beam_guard import BeamGuard
-    from beam_ros.hub.link_parameters import CsvColumns, OdriveParameters, TrajectoryParameters
+    from beam_ros.hub.link_parameters import (
+        CsvColumns,
+        DynamixelParameters,
+        OdriveParameters,
+        TrajectoryParameters,
+    )
     from beam_ros.hub.parameters import AxisParameters, LinkParameters, SimulatedDevice
     from beam_ros.hub.simulated.plant import Plant
     from beam_ros.vision.measurement.motion_prediction import BeamMotion
@@ -290,18 +295,28 @@ class Rig(RigParameters):
             metres_per_unit=self.axis.metres_per_unit,
             max_knots=self.trajectory.max_knots,
             homes_here=self.axis.home == "here",
+            drive_watchdog_s=self.axis.drive_watchdog,
         )
 
     def odrive_parameters(self) -> OdriveParameters:
         """How an ODrive moves the hub."""
         from beam_ros.hub.link_parameters import OdriveParameters
 
-        return OdriveParameters(
-            axis=self.odrive.axis,
-            metres_per_turn=self.axis.metres_per_unit,
-            rate=self.axis.rate,
-            homes_here=self.axis.home == "here",
-        )
+        return OdriveParameters(*self._drive(), axis=self.odrive.axis)
+
+    def dynamixel_parameters(self) -> DynamixelParameters:
+        """How a Dynamixel servo moves the hub."""
+        from beam_ros.hub.link_parameters import DynamixelParameters
+
+        return DynamixelParameters(*self._drive(), servo_id=self.dynamixel.id)
+
+    def _drive(self) -> tuple[float, float, bool]:
+        return self.axis.metres_per_unit, self.axis.rate, self.axis.home == "here"
+
+    @property
+    def lacks_port(self) -> bool:
+        """Whether the axis is behind a serial port that is not named."""
+        return self.axis.kind in ("beam", "odrive", "dynamixel", "csv") and not self.serial.port
 
     def csv_columns(self) -> CsvColumns:
         """What the lines of a board mean."""

@@ -15,7 +15,8 @@ from beam_ros.arrays import StampArray
 from beam_ros.bags.batches import decode_trajectory
 from beam_ros.bags.errors import MessageDecodeError
 from beam_ros.errors import UsageError
-from beam_ros.hub.emulated.controller import EmulatedController, FirmwareMaker
+from beam_ros.hub.emulated.controller import EmulatedController, Firmware, FirmwareMaker
+from beam_ros.hub.emulated.dynamixel import EmulatedDynamixel
 from beam_ros.hub.emulated.injected_faults import InjectedFault
 from beam_ros.hub.emulated.line_board import COUNT, LineBoard
 from beam_ros.hub.emulated.odrive import EmulatedOdrive
@@ -115,15 +116,20 @@ def _on_port(
     )
 
 
-def _odrive(node: RigNode) -> EmulatedAxis:
-    rig = node.rig
-    parameters, plant = rig.axis_parameters(), _servo_plant(rig, rig.emulator.clock_drift_ppm)
-    per_turn = rig.axis.metres_per_unit
+def _drive(make: type[EmulatedOdrive] | type[EmulatedDynamixel]) -> Callable[[RigNode], EmulatedAxis]:
+    """Return what makes a drive that counts turns, on a port."""
 
-    def boot(device: SimulatedDevice, _boot_id: int) -> EmulatedOdrive:
-        return EmulatedOdrive(parameters, plant, device, metres_per_turn=per_turn)
+    def emulated(node: RigNode) -> EmulatedAxis:
+        rig = node.rig
+        parameters, plant = rig.axis_parameters(), _servo_plant(rig, rig.emulator.clock_drift_ppm)
+        per_turn = rig.axis.metres_per_unit
 
-    return _on_port(rig, parameters, plant, boot)
+        def boot(device: SimulatedDevice, _boot_id: int) -> Firmware:
+            return make(parameters, plant, device, metres_per_turn=per_turn)
+
+        return _on_port(rig, parameters, plant, boot)
+
+    return emulated
 
 
 def _csv(node: RigNode) -> EmulatedAxis:
@@ -175,8 +181,8 @@ class _ControllerTopics:
     def check_faults(self, faults: Sequence[InjectedFault]) -> None:
         if faults:
             raise HubParameterError(
-                "faults on request: expected an axis.kind with a serial line (beam, odrive, csv), because this one "
-                "has topics alone; leave faults.schedule empty"
+                "faults on request: expected an axis.kind with a serial line (beam, odrive, dynamixel, csv), because "
+                "this one has topics alone; leave faults.schedule empty"
             )
 
     def take_notes(self) -> list[str]:
@@ -232,7 +238,8 @@ class _ControllerTopics:
 AXIS_EMULATORS: dict[str, Callable[[RigNode], EmulatedAxis]] = {
     "beam": _beam,
     "trajectory_controller": _ControllerTopics,
-    "odrive": _odrive,
+    "odrive": _drive(EmulatedOdrive),
+    "dynamixel": _drive(EmulatedDynamixel),
     "csv": _csv,
 }
 """What stands in for the controller behind each kind of axis link."""

@@ -17,6 +17,7 @@ from beam_ros.hub.contract import Hub, HubCapabilities
 from beam_ros.hub.gate.beam_guard import BeamGuard
 from beam_ros.hub.line.driver import DriverHub
 from beam_ros.hub.links.csv_board import CsvHub
+from beam_ros.hub.links.dynamixel import DynamixelHub
 from beam_ros.hub.links.odrive import OdriveHub
 from beam_ros.rig.rig import Rig
 from beam_ros.shell.trajectory_topics import TrajectoryLink
@@ -34,6 +35,11 @@ def odrive_link(rig: Rig, guard: BeamGuard) -> Hub:
     return OdriveHub(rig.axis_parameters(), rig.link_parameters(), rig.odrive_parameters(), guard)
 
 
+def dynamixel_link(rig: Rig, guard: BeamGuard) -> Hub:
+    """Drive a Dynamixel servo over its Protocol 2.0."""
+    return DynamixelHub(rig.axis_parameters(), rig.link_parameters(), rig.dynamixel_parameters(), guard)
+
+
 def csv_link(rig: Rig, guard: BeamGuard) -> Hub:
     """Listen to a board that prints lines."""
     return CsvHub(rig.axis_parameters(), rig.link_parameters(), rig.csv_columns())
@@ -43,6 +49,7 @@ AXIS_LINKS: dict[str, AxisLink] = {
     "beam": beam_link,
     "trajectory_controller": TrajectoryLink,
     "odrive": odrive_link,
+    "dynamixel": dynamixel_link,
     "csv": csv_link,
 }
 """The suite's own kinds of axis link, by the value of ``axis.kind``."""

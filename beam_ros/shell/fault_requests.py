@@ -14,7 +14,6 @@ from beam_ros.hub.emulated.injected_faults import (
     FaultSchedule,
     InjectedFault,
     disturb,
-    note,
     read_schedule,
     read_schedule_file,
 )
@@ -106,11 +105,9 @@ class SimulatedAxisFaults:
 
     def happen(self) -> list[str]:
         """Do what is due, and return it for the log."""
-        notes = []
         for fault, begins in self._schedule.changes(self.elapsed):
             disturb(self._axis, fault, begins=begins)
-            notes.append(note(fault, begins=begins))
-        return notes
+        return self._schedule.take_notes()
 
 
 def _requests(parameters: list[Parameter]) -> list[str]:

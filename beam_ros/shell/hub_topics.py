@@ -12,18 +12,22 @@ from collections.abc import Callable
 from typing import Any
 
 from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.serialization import deserialize_message
 from rclpy.task import Future
 
 from beam_ros import messages
 from beam_ros.bags.batches import decode_chunk, encode_batch, faulty_chunk
 from beam_ros.bags.errors import BagError
 from beam_ros.hub.contract import HostTime, Hub, HubEvent, HubReport, HubStatus, NewsBearer, RequestKind
+from beam_ros.interfaces import graph
 from beam_ros.messages import MessageContentError
 from beam_ros.rig.rig import Rig
 from beam_ros.shell.freeze_watch import FreezeWatch
 from beam_ros.shell.node import RigNode, request_sent_ns
+from beam_ros.shell.other_hubs import count_hubs, refuse_second_hub, two_hubs
 
 _POLL_S = 0.01
+"""A spin of the hub [s]: so often it is polled, and at most so often a set-point is checked."""
 _CALM_POLL_S = 0.04
 """A hub that bears news is polled when it has some, and so long after the last time [s]."""
 _ALWAYS_TAKEN: tuple[RequestKind, ...] = ("stop", "disable")
@@ -47,21 +51,26 @@ class HubNode(RigNode):
 
     def __init__(self, executable: str, build: Callable[[Rig], Hub], **options: Any) -> None:
         super().__init__(executable, **options)
+        refuse_second_hub(self)
         self._hub = build(self.rig)
         self._status = HubStatus()
         self._told_mode: tuple[object, ...] = ()
         self._refused_setpoints = 0
         self._waiting: dict[int, Future] = {}
-        self._freeze = FreezeWatch()
+        parameters = self.rig.axis_parameters()
+        self._freeze = FreezeWatch(round(parameters.watchdog_s * 1e9))
         self._mode = self.rig.hub.command_mode
-        self._period_ns = self.rig.axis_parameters().period_ns
+        self._period_ns = parameters.period_ns
         self._applied = self.offer("hub/applied")
         self._measured = self.offer("hub/measured")
         self._state = self.offer("hub/state")
         self._clock_sync = self.offer("hub/clock_sync")
         self._sequence_state = self.offer("hub/sequence_state")
         self._mode_state = self.offer("hub/mode")
-        self.listen("hub/setpoint", self._on_setpoint)
+        self._newest_setpoint: bytes | None = None
+        self._next_check_s = 0.0
+        self._setpoint_class = self.types.message_class(graph.TOPICS["hub/setpoint"].type_name)
+        self.listen("hub/setpoint", self._on_setpoint, raw=True)
         # 500 points cost rclpy milliseconds to unpack, the suite's own codec microseconds.
         self.listen("hub/sequence", self._on_chunk, raw=True)
         services = {"hub/home": "home", "hub/stop": "stop", "hub/clear_fault": "clear_fault"}
@@ -77,6 +86,8 @@ class HubNode(RigNode):
             self._hub.call_on_news(self.create_guard_condition(self._on_news).trigger)
         else:
             self._poll_timer = self.create_timer(_POLL_S, self._poll)
+        # It was started before the look round: the first poll comes before the first health.
+        self.health_timer.reset()
 
     def _answer(self, kind: RequestKind) -> Callable[[Any, Any], Any]:
         async def answer(_request: Any, response: Any) -> Any:
@@ -89,7 +100,9 @@ class HubNode(RigNode):
 
     async def _ask(self, kind: RequestKind, response: Any) -> Any:
         objection = None
-        if kind not in _ALWAYS_TAKEN:
+        if kind in _ALWAYS_TAKEN:
+            self._newest_setpoint = None
+        else:
             objection = self._freeze.objection(time.monotonic_ns(), request_sent_ns())
         if objection:
             response.success, response.message = False, f"{kind} refused: the hub's process {objection}"
@@ -101,7 +114,20 @@ class HubNode(RigNode):
         response.success, response.message = outcome.success, outcome.message
         return response
 
-    def _on_setpoint(self, message: Any) -> None:
+    def _on_setpoint(self, data: bytes) -> None:
+        """Take a set-point: the first of a spin at once, and of those that follow it the newest at its end.
+
+        So a flood costs its sender, not the link: what is superseded is not even unpacked.
+        """
+        self._newest_setpoint = data
+        self._check_newest_setpoint()
+
+    def _check_newest_setpoint(self) -> None:
+        now_s = time.monotonic()
+        if self._newest_setpoint is None or now_s < self._next_check_s:
+            return
+        message = deserialize_message(self._newest_setpoint, self._setpoint_class)
+        self._newest_setpoint, self._next_check_s = None, now_s + _POLL_S
         try:
             point = messages.read_setpoint(message)
         except MessageContentError as err:
@@ -131,6 +157,7 @@ class HubNode(RigNode):
 
     def _poll(self) -> None:
         self._freeze.beat(time.monotonic_ns())
+        self._check_newest_setpoint()
         self.publish_report(self._hub.poll(host_time()))
 
     def _on_news(self) -> None:
@@ -188,11 +215,19 @@ class HubNode(RigNode):
         if jumps:
             # Recorded with the bag, so that whoever reads it later knows.
             level, sentence = "ERROR", f"the computer's real-time clock jumped {jumps} times; {sentence}"
+        if count_hubs(self) > 1:
+            level, sentence = "ERROR", f"{two_hubs()}; {sentence}"
+            self.get_logger().error(two_hubs(), throttle_duration_sec=10.0)
         return level, sentence, {**about, **status.counters, "refused set-points": self._refused_setpoints}
 
     def close(self) -> None:
-        """Leave the axis stopped."""
+        """Leave the axis stopped, and say that nobody leads it any more."""
         self._hub.close()
+        if self.context.ok():
+            # What became of a sequence.
+            HubNode.publish_report(self, self._hub.poll(host_time()))
+            gone = HubStatus(reason="the node has ended: start it again")
+            self.say_last(self._mode_state, messages.hub_mode(self.types, gone, host_time().unix_ns))
 
 
 def _newest_sample(batch: Any) -> messages.HubSample:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import inspect
 import signal
+import socket
 import sys
 import threading
 import time
@@ -22,6 +23,7 @@ import rclpy
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
 from rclpy.client import Client
 from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
 from rclpy.exceptions import InvalidHandle, ParameterNotDeclaredException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
@@ -29,6 +31,7 @@ from rclpy.parameter import Parameter as RosParameter
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.service import Service
+from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 from rclpy.utilities import remove_ros_args
 
@@ -43,6 +46,11 @@ from beam_ros.rig.rig import Rig
 from beam_ros.rig.time_keeping import NO_CLOCK, check_time
 
 FAULT_OF_THE_USER = 2
+_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+_MAX_CALLBACK_S = 1.0
+"""A callback that goes on for so long after a signal is ended by what rclpy raises when the graph is gone [s]."""
+_LAST_WORD = Duration(seconds=0.5)
+"""So long a node that ends waits for its readers to have its last word: a few repetitions of what was lost."""
 _FIRST_LOOK_S = 0.5
 """So long a node that follows /clock waits for it before it warns [s]; the time to find each other on the graph."""
 _REQUEST_SENT_NS: ContextVar[int] = ContextVar("_REQUEST_SENT_NS")
@@ -135,6 +143,7 @@ class RigNode(Node):  # type: ignore[misc]
     ----------
     rig : Rig -- the parameters in force, checked; those of other nodes as this node's file gives them
     types : RosTypes -- rclpy's message classes, as the message builders want them
+    health_timer : Timer -- publishes the diagnostics
 
     Raises
     ------
@@ -155,7 +164,7 @@ class RigNode(Node):  # type: ignore[misc]
         self._diagnostics = self.offer("/diagnostics")
         # On the steady clock, so that a node is heard also while the time that it follows stands still.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(1.0, self._publish_diagnostics, clock=steady)
+        self.health_timer = self.create_timer(1.0, self._publish_diagnostics, clock=steady)
         if self._uses_sim_time():
             self._first_look = self.create_timer(_FIRST_LOOK_S, self._look_for_clock, clock=steady)
 
@@ -247,7 +256,17 @@ class RigNode(Node):  # type: ignore[misc]
         return "OK", "running", {}
 
     def close(self) -> None:
-        """Release what the node holds; called once, also after a failure."""
+        """Release what the node holds; called once, also after a failure.
+
+        The graph is there still, unless its context was shut down: a latched topic that says what the node does is to
+        say now that it ends.
+        """
+
+    def say_last(self, publisher: Publisher, message: Any) -> None:
+        """Publish the last message of a latched topic, and wait until its readers have it."""
+        if self.context.ok():
+            publisher.publish(message)
+            publisher.wait_for_all_acked(_LAST_WORD)
 
     def _uses_sim_time(self) -> bool:
         return bool(self.get_parameter("use_sim_time").value)
@@ -282,11 +301,56 @@ def _plain(value: Any) -> object:
     return list(value) if hasattr(value, "tolist") or isinstance(value, tuple) else value
 
 
+class _Ending:
+    """Takes SIGINT and SIGTERM, and ends the spin while there still is a graph to say so on.
+
+    rclpy's own handlers shut the graph down first, so that no node could say its last word. Python's own handlers run
+    between any two lines of the main thread, also where it holds a lock. So a second thread does what is to be done:
+    it wakes the executor and, where a callback goes on and on, shuts the graph down after all.
+    """
+
+    def __init__(self) -> None:
+        self.is_asked = False
+        # A node that is being made has nothing to say yet, and may wait for something on the graph.
+        self._interrupt: Callable[[], None] = rclpy.try_shutdown
+        self._has_left = threading.Event()
+        self._heard, self._told = socket.socketpair()
+        self._told.setblocking(False)
+        for number in _SIGNALS:
+            # In place of Python's, which raises in the main thread.
+            signal.signal(number, lambda _number, _frame: None)
+        signal.set_wakeup_fd(self._told.fileno())
+        threading.Thread(target=self._wait, name="ending", daemon=True).start()
+
+    def spin(self, executor: SingleThreadedExecutor) -> None:
+        """Run callbacks until a signal comes or the context is shut down."""
+        self._interrupt = executor.wake
+        while not self.is_asked and rclpy.ok():
+            executor.spin_once()
+
+    def close(self) -> None:
+        """Ignore the signals from now on."""
+        for number in _SIGNALS:
+            signal.signal(number, signal.SIG_IGN)
+        signal.set_wakeup_fd(-1)
+        self._interrupt = lambda: None
+        self._has_left.set()
+        self._told.close()
+
+    def _wait(self) -> None:
+        with self._heard:
+            while self._heard.recv(1):
+                self.is_asked = True
+                self._interrupt()
+                if not self._has_left.wait(_MAX_CALLBACK_S):
+                    rclpy.try_shutdown()
+
+
 def run_node(build: Callable[[], RigNode], argv: list[str] | None = None) -> int:
     """Run a node until SIGINT, SIGTERM or a shutdown of its context, and end it cleanly.
 
     The node ends with status 0 on a signal, also when it comes twice, and with 2 and one line on a fault of
-    the user's.
+    the user's. It is closed before it leaves the graph.
 
     Parameters
     ----------
@@ -297,19 +361,18 @@ def run_node(build: Callable[[], RigNode], argv: list[str] | None = None) -> int
     -------
     int -- exit status
     """
-    for number in (signal.SIGINT, signal.SIGTERM):
-        # rclpy's own handler ends the spin and then calls this one, in whose place Python would raise.
-        signal.signal(number, _leave_it_to_rclpy)
+    ending = _Ending()
     arguments = sys.argv if argv is None else ["node", *argv]
     status = 0
     node: RigNode | None = None
     executor: SingleThreadedExecutor | None = None
     try:
         _initialise(arguments)
-        node = build()
-        executor = make_executor()
-        executor.add_node(node)
-        executor.spin()
+        if not ending.is_asked:
+            node = build()
+            executor = make_executor()
+            executor.add_node(node)
+            ending.spin(executor)
     except ExternalShutdownException:
         pass
     except Exception as err:
@@ -319,8 +382,7 @@ def run_node(build: Callable[[], RigNode], argv: list[str] | None = None) -> int
         elif rclpy.ok() or type(err).__name__ not in _GRAPH_IS_GONE:
             raise
     finally:
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, signal.SIG_IGN)
+        ending.close()
         if node is not None:
             node.close()
         if executor is not None:
@@ -331,10 +393,6 @@ def run_node(build: Callable[[], RigNode], argv: list[str] | None = None) -> int
     return status
 
 
-def _leave_it_to_rclpy(_number: int, _frame: object) -> None:
-    """Take a signal without raising; rclpy's handler has already asked the spin to end."""
-
-
 def _initialise(arguments: list[str]) -> None:
     files = [arguments[i + 1] for i, word in enumerate(arguments[:-1]) if word == "--params-file"]
     for path in files:
@@ -342,7 +400,7 @@ def _initialise(arguments: list[str]) -> None:
     try:
         surplus = remove_ros_args(arguments)[1:]
         if not surplus:
-            rclpy.init(args=arguments)
+            rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
     except Exception as err:
         raise RigError(
             f"ROS refuses the arguments {' '.join(arguments[1:])}: {err}; expected "

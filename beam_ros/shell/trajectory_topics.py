@@ -8,14 +8,18 @@ import time
 from typing import Any
 
 import rclpy
+from rcl_interfaces.srv import GetParameters
 from rclpy.context import Context
 from rclpy.executors import ExternalShutdownException, ShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.parameter import parameter_value_to_python
 from rclpy.qos import QoSProfile
+from rclpy.task import Future
 
 from beam_ros.bags.batches import encode_trajectory
 from beam_ros.hub.contract import HostTime
 from beam_ros.hub.gate.beam_guard import BeamGuard
+from beam_ros.hub.links.settings_check import SettingsCheck
 from beam_ros.hub.links.trajectory import Knots, TrajectoryHub
 from beam_ros.interfaces.graph import JOINT_STATE, JOINT_TRAJECTORY, QualityOfService
 from beam_ros.messages import RosTypes
@@ -25,6 +29,9 @@ from beam_ros.shell.node import qos_profile
 
 CONTROLLER_QOS: QoSProfile = qos_profile(QualityOfService(1000))
 """What ros2_control's topics offer and ask for: reliable, volatile."""
+
+
+_LOOK_S = 0.1
 
 
 class OwnThread:
@@ -62,6 +69,42 @@ class OwnThread:
             return
 
 
+class _Settings:
+    """Asks a controller for its settings by its service.
+
+    Parameters
+    ----------
+    hub : TrajectoryHub -- takes the verdict
+    node : Node -- asks
+    controller, joint, mode : str -- names of the controller's node and of its joint, and the hub's command mode
+    """
+
+    def __init__(self, hub: TrajectoryHub, node: Node, controller: str, joint: str, mode: str) -> None:
+        self._controller = controller
+        self._logger = node.get_logger()
+        self._client = node.create_client(GetParameters, f"{controller}/get_parameters")
+        self._check = SettingsCheck(hub, self._ask, self._warn, joint, mode)
+        node.create_timer(_LOOK_S, self._look)
+
+    def _look(self) -> None:
+        self._check.look(time.monotonic(), is_there=self._client.service_is_ready())
+
+    def _ask(self, name: str) -> None:
+        def take(answer: Future) -> None:
+            values = [parameter_value_to_python(value) for value in answer.result().values]
+            self._check.answer(name, values[0] if values else None)
+
+        self._client.call_async(GetParameters.Request(names=[name])).add_done_callback(take)
+
+    def _warn(self) -> None:
+        self._logger.warning(
+            f"the parameters of {self._controller} cannot be read yet: expected its service get_parameters; until "
+            "it is there, see to it yourself that interpolation_method is splines, and allow_partial_joints_goal "
+            "true where it leads more joints than one",
+            once=True,
+        )
+
+
 class TrajectoryLink(TrajectoryHub):
     """A hub behind a JointTrajectoryController on this graph; implements ``Hub``.
 
@@ -80,6 +123,7 @@ class TrajectoryLink(TrajectoryHub):
             types.message_class(JOINT_TRAJECTORY), f"{settings.controller}/joint_trajectory", CONTROLLER_QOS
         )
         super().__init__(rig.axis_parameters(), rig.trajectory_parameters(), self._publish, guard)
+        _Settings(self, self._own.node, settings.controller, settings.joint, rig.hub.command_mode)
         self._own.node.create_subscription(
             types.message_class(JOINT_STATE), settings.joint_states, self._on_joint_state, CONTROLLER_QOS
         )
@@ -104,6 +148,10 @@ class TrajectoryLink(TrajectoryHub):
 
     def _on_joint_state(self, message: Any) -> None:
         if self._joint not in message.name:
+            self.no_state(
+                f"the joint states are of {', '.join(message.name) or 'no joint'}: expected {self._joint!r} among "
+                "them; correct trajectory.joint or trajectory.joint_states"
+            )
             return
         k = list(message.name).index(self._joint)
 
@@ -112,6 +160,11 @@ class TrajectoryLink(TrajectoryHub):
             return number if math.isfinite(number) else None
 
         position = value(message.position)
-        if position is not None:
-            now = HostTime(time.monotonic_ns(), time.time_ns())
-            self.joint_state(stamp_ns(message), position, value(message.velocity), value(message.effort), now)
+        if position is None:
+            self.no_state(
+                f"the joint states give {self._joint!r} no finite position: expected one; look at its state "
+                "interfaces"
+            )
+            return
+        now = HostTime(time.monotonic_ns(), time.time_ns())
+        self.joint_state(stamp_ns(message), position, value(message.velocity), value(message.effort), now)

@@ -1,7 +1,7 @@
 """Which fields of which topics are input and outputs: read from the command line, from parameters and from YAML.
 
 A signal is written ``TOPIC:FIELD`` with options behind commas, ``/imu:linear_acceleration.x,sd=0.02``; in YAML as
-that text, or as a mapping with the same words.
+that text, or as a mapping with the same words. In a file of columns it is a column, ``tip_mm,sd=2e-5``.
 """
 
 from __future__ import annotations
@@ -18,6 +18,9 @@ from ruamel.yaml.error import YAMLError
 
 from beam_ident.numerics.piecewise import HOLDS
 from beam_ros.errors import ParameterFileError, UsageError, suggestion
+from beam_ros.files.units import INPUT_KINDS as KIND_OF_INPUT_UNIT
+from beam_ros.files.units import OUTPUT_KINDS as KIND_OF_OUTPUT_UNIT
+from beam_ros.files.units import Unit, find_unit, known_units
 from beam_ros.signals.field_paths import FieldPath
 
 POWERS = {"position": 0, "velocity": 1, "acceleration": 2}
@@ -44,27 +47,35 @@ _WORDS = (
 
 @dataclass(frozen=True)
 class SignalSource:
-    """One field of one topic, and what is known of the sensor behind it.
+    """One field of one topic, or one column of a file, and what is known of the sensor behind it.
 
     Attributes
     ----------
-    topic, field : str
+    topic, field : str -- no topic: the field is a column of a file
     name : str -- of the signal; empty: from topic and field
     kind : str -- position, velocity, acceleration or force of an input, receptance, mobility or accelerance of an
-        output; empty: by the field's name
+        output; empty: by the unit, or by the field's name
+    unit : str -- in which the field is, "mm"; empty: the SI unit of its kind
     delay : float -- by how much stamps are late, as far as that is known [s]
     exposure : float -- of an output: every value is the mean over this long [s]
     low_pass : float -- of an output: where its sensor shows 71 % of what is there [Hz]; 0: nowhere
     order : int -- of that low-pass, 1 or 2
     sd : float or None -- standard deviation of the noise, where it is known, in SI units
     hold : str -- of an input: what it does between samples; empty: see ``held``
-    scale : float -- SI units in one unit of the field, negative for a sensor that looks against +x
+    scale : float -- SI units in one unit of the field, or a factor behind ``unit``; negative for a sensor that looks
+        against +x
+
+    Raises
+    ------
+    UsageError
+        A unit that is not known, or of another kind.
     """
 
     topic: str
     field: str
     name: str = ""
     kind: str = ""
+    unit: str = ""
     delay: float = 0.0
     exposure: float = 0.0
     low_pass: float = 0.0
@@ -73,27 +84,56 @@ class SignalSource:
     hold: str = ""
     scale: float = 1.0
 
+    def __post_init__(self) -> None:
+        if not self.unit:
+            return
+        if find_unit(self.unit) is None:
+            raise UsageError(
+                f"{self.title}: the unit {self.unit!r} is not known; expected one of {known_units()}"
+            )
+        meant = {KIND_OF_INPUT_UNIT.get(self._unit.si), KIND_OF_OUTPUT_UNIT.get(self._unit.si)}
+        if self.kind and self._unit.si in KIND_OF_OUTPUT_UNIT and self.kind not in meant:
+            raise UsageError(
+                f"{self.title}: kind is {self.kind}, but the unit {self.unit} is of another; mend one"
+            )
+
+    @property
+    def _unit(self) -> Unit:
+        return find_unit(self.unit) or Unit("")
+
     @property
     def title(self) -> str:
         """Name of the signal."""
-        return self.name or f"{self.topic.strip('/')}:{self.field}"
+        return self.name or (f"{self.topic.strip('/')}:{self.field}" if self.topic else self.field)
 
     @property
     def input_kind(self) -> str:
-        """What it is as an input, given or by the field's name."""
-        return self.kind or next((word for part, word, _ in _WORDS if part in self.field), "position")
+        """What it is as an input: given, by its unit, or by the field's name."""
+        by_name = next((word for part, word, _ in _WORDS if part in self.field), "position")
+        return self.kind or KIND_OF_INPUT_UNIT.get(self._unit.si, by_name)
 
     @property
     def output_kind(self) -> str:
-        """What it is as an output, given or by the field's name."""
-        return self.kind or next(
-            (word for part, _, word in _WORDS if word and part in self.field), "receptance"
-        )
+        """What it is as an output: given, by its unit, or by the field's name."""
+        by_name = next((word for part, _, word in _WORDS if word and part in self.field), "receptance")
+        return self.kind or KIND_OF_OUTPUT_UNIT.get(self._unit.si, by_name)
 
     @property
-    def unit(self) -> str:
+    def factor(self) -> float:
+        """What the field's values are multiplied with."""
+        return self.scale * self._unit.factor
+
+    @property
+    def input_unit(self) -> str:
+        """Unit of an input, in which its samples are after scaling."""
+        own = self._unit.si
+        return own if KIND_OF_INPUT_UNIT.get(own) == self.input_kind else UNITS[self.input_kind]
+
+    @property
+    def output_unit(self) -> str:
         """Unit of an output, in which its samples are after scaling."""
-        return SENSOR_UNITS[self.output_kind]
+        own = self._unit.si
+        return own if KIND_OF_OUTPUT_UNIT.get(own) == self.output_kind else SENSOR_UNITS[self.output_kind]
 
     @property
     def held(self) -> str:
@@ -102,7 +142,7 @@ class SignalSource:
 
     @staticmethod
     def of(text: str, is_input: bool) -> SignalSource:
-        """Read ``TOPIC:FIELD[,option=value ...]``.
+        """Read ``TOPIC:FIELD[,option=value ...]``, or a column of a file in the place of topic and field.
 
         Raises
         ------
@@ -112,10 +152,12 @@ class SignalSource:
         # Names of joints stand in brackets and may hold commas.
         place, *options = re.split(r",(?![^\[]*\])", text.strip())
         topic, separator, field = place.partition(":")
-        if not (separator and topic.strip() and field.strip()):
+        if not separator:
+            topic, field = "", topic
+        if not field.strip() or (separator and not topic.strip()) or field.startswith("/"):
             raise UsageError(
                 f"{text!r} names no field of a topic; expected TOPIC:FIELD with options behind commas, as "
-                "/imu:linear_acceleration.x,kind=accelerance"
+                "/imu:linear_acceleration.x,kind=accelerance, or the column of a file, as tip_mm"
             )
         values: dict[str, object] = {}
         for option in options:
@@ -153,6 +195,15 @@ class Signals:
             if titles.count(title) > 1:
                 raise UsageError(
                     f"two signals have the name {title!r}; give one another with ,name=... behind its field"
+                )
+
+    def require_topics(self) -> None:
+        """Raise UsageError for a column of a file among signals of a bag."""
+        for own in (self.drive, *self.outputs):
+            if own is not None and not own.topic:
+                raise UsageError(
+                    f"{own.field!r} names no field of a topic; expected TOPIC:FIELD of a bag, as "
+                    "/imu:linear_acceleration.x"
                 )
 
     def __bool__(self) -> bool:
@@ -227,7 +278,8 @@ def _entry(entry: object, is_input: bool) -> SignalSource:
 
 
 def _source(text: str, topic: str, field: str, values: Mapping[str, object], is_input: bool) -> SignalSource:
-    FieldPath.of(field)
+    if topic:
+        FieldPath.of(field)
     readers = _INPUT_OPTIONS if is_input else _OUTPUT_OPTIONS
     read: dict[str, Any] = {}
     for word, value in values.items():
@@ -276,6 +328,12 @@ def _word(*known: str) -> Callable[[object], str]:
     return read
 
 
+def _known_unit(value: object) -> str:
+    if find_unit(str(value)) is None:
+        raise ValueError(f"one of {known_units()}")
+    return str(value).strip()
+
+
 def _name(value: object) -> str:
     if not str(value).strip():
         raise ValueError("a name")
@@ -284,6 +342,7 @@ def _name(value: object) -> str:
 
 _COMMON: dict[str, Callable[[object], Any]] = {
     "name": _name,
+    "unit": _known_unit,
     "delay": _number(-math.inf, "seconds by which its stamps are late"),
     "sd": _number(0.0, "a standard deviation > 0 in SI units", is_open=True),
     "scale": _scale,

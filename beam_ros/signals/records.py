@@ -17,7 +17,7 @@ import numpy as np
 from beam_ident import InputSignal, LowPass, OutputSignal, TimeRecord
 from beam_ident.numerics.piecewise import Hold
 from beam_ros.arrays import FloatArray, StampArray
-from beam_ros.signals.descriptions import FORCE, POWERS, SENSOR_UNITS, SENSORS, UNITS, SignalSource
+from beam_ros.signals.descriptions import FORCE, POWERS, SENSORS, SignalSource
 from beam_ros.signals.fields import FieldSamples
 
 _MOTION = ("base_motion", "velocity", "acceleration")
@@ -39,9 +39,9 @@ def input_signal(source: SignalSource, samples: FieldSamples, origin_ns: int) ->
     seen = np.isfinite(samples.values)
     return InputSignal(
         source.title,
-        UNITS[source.input_kind],
+        source.input_unit,
         _times(samples.stamps_ns[seen], origin_ns, source),
-        samples.values[seen] * source.scale,
+        samples.values[seen] * source.factor,
         hold,
         source.sd or 0.0,
     )
@@ -50,17 +50,16 @@ def input_signal(source: SignalSource, samples: FieldSamples, origin_ns: int) ->
 def output_signal(source: SignalSource, samples: FieldSamples, origin_ns: int) -> SensorOutput:
     """Return a field's samples as an output, on the time axis that begins at ``origin_ns``."""
     seen = np.isfinite(samples.values)
-    kind = source.output_kind
     signal = OutputSignal(
         source.title,
-        SENSOR_UNITS[kind],
+        source.output_unit,
         _times(samples.stamps_ns[seen], origin_ns, source),
-        samples.values[seen] * source.scale,
+        samples.values[seen] * source.factor,
         source.exposure,
         source.sd,
         LowPass.of_order(source.order, source.low_pass) if source.low_pass else None,
     )
-    return SensorOutput(signal, SENSORS[kind])
+    return SensorOutput(signal, SENSORS[source.output_kind])
 
 
 def _times(stamps_ns: StampArray, origin_ns: int, source: SignalSource) -> FloatArray:

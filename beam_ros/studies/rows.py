@@ -10,7 +10,6 @@ import hashlib
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from datetime import datetime, timezone
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -25,6 +24,7 @@ from beam_ros.offline.identification import identify_bag
 from beam_ros.offline.loading.options import FitOptions
 from beam_ros.offline.simulation import simulate
 from beam_ros.process.checksums import checksum
+from beam_ros.process.strict_json import strict_json
 from beam_ros.rig.rig import Rig
 
 GatesOf = Callable[[Path, Rig | None, FitOptions], Sequence[Gate]]
@@ -167,12 +167,19 @@ def _row_of_bag(path: Path, settings: Settings, gates_of: GatesOf) -> Row:
     gates = gates_of(path, settings.rig, replace(options, estimator="modal"))
     found = identify_bag(path, rig=settings.rig, options=options)
     doubts = [mode["doubt"] for mode in found["modes"] if mode.get("doubt")]
-    is_good = not _names(gates, "failed") and found["converged"] and not doubts and not found["warnings"]
+    is_good = (
+        not _names(gates, "failed")
+        and not _names(gates, "doubtful")
+        and found["converged"]
+        and not doubts
+        and not found["warnings"]
+    )
     return {
         "verdict": "passed" if is_good else "doubtful",
         **_provenance(path, info),
         "estimator": found["estimator"],
         "structure": found["structure"],
+        "beam": _beam_of(info, settings.rig, found["structure"]),
         "converged": found["converged"],
         "n_modes": len(found["modes"]),
         **_modes(found["modes"]),
@@ -185,11 +192,25 @@ def _row_of_bag(path: Path, settings: Settings, gates_of: GatesOf) -> Row:
     }
 
 
+def _beam_of(info: BagInfo, rig: Rig | None, structure: str) -> str:
+    """Return a mark of the beam and its ends, the same for all bags of one; empty where none is described."""
+    described = (info.excitation or {}).get("rig") if rig is None else rig.to_nested()
+    if not described:
+        return ""
+    loads = described.get("hub", {}).get("mass") if structure == "force" else None
+    markers = described.get("markers", {})
+    own = [described.get("beam"), markers.get("heights"), markers.get("masses"), structure == "force", loads]
+    return hashlib.sha256(strict_json(own).encode()).hexdigest()[:12]
+
+
 def _modes(modes: Sequence[Mapping[str, Any]]) -> Row:
     """Return the columns of the modes, numbered as the nearest of theory; without a theory in their order."""
     nearest: dict[int, Mapping[str, Any]] = {}
+    has_theory = any("theory_mode" in mode for mode in modes)
     for rank, mode in enumerate(modes, start=1):
-        number = mode.get("theory_mode", rank)
+        number = mode.get("theory_mode") if has_theory else rank
+        if number is None:  # near no mode of theory
+            continue
         if number not in nearest or _distance(mode) < _distance(nearest[number]):
             nearest[number] = mode
     return {
@@ -205,9 +226,9 @@ def _distance(mode: Mapping[str, Any]) -> float:
 
 def _provenance(path: Path, info: BagInfo) -> Row:
     files = _files(path)
-    began = datetime.fromtimestamp(info.start_ns * 1e-9, tz=timezone.utc)
     return {
-        "recorded": began.isoformat(timespec="seconds"),
+        "recorded": info.apparatus.date(info.start_ns) if info.apparatus.has_date else None,
+        "apparatus": info.apparatus.kind,
         "duration_s": info.duration_ns * 1e-9,
         "messages": info.message_count,
         "bytes": sum(file.stat().st_size for file in files),

@@ -73,6 +73,25 @@ def mode_statistics(rows: Sequence[Row]) -> tuple[ModeStatistics, ...]:
     return tuple(own for own in found if own is not None)
 
 
+def rows_by_beam(rows: Sequence[Row]) -> dict[str, list[Row]]:
+    """Return the rows by the beam that their bags describe: modes of different beams say nothing together.
+
+    Returns
+    -------
+    dict -- by a name for a reader, the largest group first; rows without modes are in none
+    """
+    groups: dict[str, list[Row]] = {}
+    for row in rows:
+        if any(name.startswith("mode") for name in row):
+            groups.setdefault(row.get("beam") or "", []).append(row)
+    ordered = sorted(groups.items(), key=lambda group: -len(group[1]))
+    letters = (f"beam {number}" for number in range(1, len(ordered) + 1))
+    return {
+        (f"{name} ({len(own)} rows)" if beam else f"bags that describe no beam ({len(own)} rows)"): own
+        for name, (beam, own) in zip(letters, ordered, strict=True)
+    }
+
+
 def values_of(rows: Sequence[Row], mode: int, quantity: str) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return a mode's values, standard deviations and those of theory (NaN: none), of the rows that have it."""
     value, sd = (f"mode{mode}_{name}" for name in QUANTITIES[quantity])

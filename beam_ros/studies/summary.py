@@ -5,14 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from datetime import datetime
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from beam_ident.report.page import Cell, Page, Tone
+from beam_ros.bags.apparatus import Apparatus, simulated_line
 from beam_ros.excitation.recipes import describe_excitation
 from beam_ros.studies.rows import Row, Settings
-from beam_ros.studies.statistics import ModeStatistics, mode_statistics, values_of
+from beam_ros.studies.statistics import ModeStatistics, mode_statistics, rows_by_beam, values_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -27,11 +29,19 @@ def format_study(rows: Sequence[Row]) -> str:
     """Say in a few lines what a study found."""
     counts = _counts(rows)
     lines = [f"{len(rows)} rows: " + ", ".join(f"{count} {verdict}" for verdict, count in counts.items())]
-    statistics = mode_statistics(rows)
-    if statistics:
-        lines.append(
-            "mode  quantity             median   scatter    stated   theory in 95 % intervals        off at most"
-        )
+    groups = rows_by_beam(rows)
+    for name, own in groups.items():
+        if statistics := mode_statistics(own):
+            lines += [f"{name}:"] if len(groups) > 1 else []
+            lines += _lines_of(statistics)
+    lines += [f"{row['bag']}: {row['error']}" for row in rows if row["error"]][:10]
+    return "\n".join(lines)
+
+
+def _lines_of(statistics: Sequence[ModeStatistics]) -> list[str]:
+    lines = [
+        "mode  quantity             median   scatter    stated   theory in 95 % intervals        off at most"
+    ]
     for own in statistics:
         scale, unit = _scale(own)
         low, high = own.coverage_range
@@ -43,8 +53,7 @@ def format_study(rows: Sequence[Row]) -> str:
             f"{_or_dash(scale * own.scatter):>9} {scale * own.stated_sd:>9.2g}   {share if own.judged else '–':<30} "
             f"{_or_dash(100 * own.largest_error):>9} %"
         )
-    lines += [f"{row['bag']}: {row['error']}" for row in rows if row["error"]][:10]
-    return "\n".join(lines)
+    return lines
 
 
 def study_page(rows: Sequence[Row], settings: Settings, table: Path) -> Page:
@@ -59,38 +68,16 @@ def study_page(rows: Sequence[Row], settings: Settings, table: Path) -> Page:
     counts = _counts(rows)
     page = Page(
         f"Study of {len(rows)} experiments",
-        f"{counts['passed']} passed, {counts['doubtful']} are doubtful and {counts['failed']} failed. "
-        + _lead_of_modes(mode_statistics(rows)),
+        f"{counts['passed']} passed, {counts['doubtful']} doubtful and {counts['failed']} failed. "
+        + " ".join(_lead_of_modes(mode_statistics(own)) for own in rows_by_beam(rows).values()),
+        simulated_line(Apparatus(row["apparatus"]) for row in rows if "apparatus" in row),
     )
-    page.section("Modes")
-    statistics = mode_statistics(rows)
-    if statistics:
-        page.table(
-            [
-                "mode",
-                "quantity",
-                "rows",
-                "median",
-                "scatter",
-                "stated",
-                "scatter / stated",
-                "in 95 %",
-                "off at most",
-            ],
-            [_cells(own) for own in statistics],
-            "Scatter is the standard deviation over the rows, stated the median of what each fit states of itself. "
-            "Their ratio is 1 where the rows differ by noise alone. The last columns count the rows whose 95 % "
-            "interval holds the theory of their rig, and say how far the worst is off it: of simulated experiments "
-            "that is the truth.",
-        )
-        for mode in sorted({own.mode for own in statistics}):
-            page.figure(
-                deviation_figure(rows, mode),
-                f"Natural frequency of mode {mode} in every row, against the median of all, with 95 % intervals.",
-                f"Deviations of the natural frequency of mode {mode} over the rows of the study",
-            )
-    else:
+    groups = rows_by_beam(rows)
+    if not mode_statistics(rows):
+        page.section("Modes")
         page.warning("No mode was found in any row.", "Look at the errors below.")
+    for name, own in groups.items():
+        _modes_of_group(page, f"Modes of {name}" if len(groups) > 1 else "Modes", own)
     failed = [row for row in rows if row["error"]]
     if failed:
         page.section("Errors")
@@ -103,8 +90,8 @@ def study_page(rows: Sequence[Row], settings: Settings, table: Path) -> Page:
     page.table(
         ["experiment", "verdict", "modes", "f1 [Hz]", "ζ1 [%]", "frames lost", "hub lost", "notes"],
         [_row_cells(row) for row in rows],
-        f"All columns are in {table.name}. A row is doubtful where a gate of the data failed, the fit did not "
-        "converge, or it has warnings.",
+        f"All columns are in {table.name}. A row is doubtful where a gate of the data failed or is doubtful, "
+        "a mode is doubted, the fit did not converge, or it has warnings.",
     )
     page.section("Provenance")
     page.table(
@@ -121,6 +108,39 @@ def study_page(rows: Sequence[Row], settings: Settings, table: Path) -> Page:
         "How the rows were made. Every row carries the checksum of its bag.",
     )
     return page
+
+
+def _modes_of_group(page: Page, heading: str, rows: Sequence[Row]) -> None:
+    """Add what the rows of one beam say together."""
+    statistics = mode_statistics(rows)
+    if not statistics:
+        return
+    page.section(heading)
+    page.table(
+        [
+            "mode",
+            "quantity",
+            "rows",
+            "median",
+            "scatter",
+            "stated",
+            "scatter / stated",
+            "in 95 %",
+            "off at most",
+        ],
+        [_cells(own) for own in statistics],
+        "Rows whose bags describe one beam. Scatter is the standard deviation over the rows, stated the median of "
+        "what each fit states of itself. Their ratio is 1 where equal experiments differ by noise alone. The last "
+        "columns count the rows whose 95 % interval holds the theory of their rig, and how far the worst is off: "
+        "of simulated experiments that is the truth.",
+    )
+    for mode in sorted({own.mode for own in statistics if own.count > 1}):
+        page.figure(
+            partial(deviation_figure, rows, mode),
+            f"Natural frequency of mode {mode} in every row, against the median of all, with 95 % intervals. An "
+            "interval without ends goes beyond the figure, whose height follows the better half of the rows.",
+            f"Deviations of the natural frequency of mode {mode} over the rows of the study",
+        )
 
 
 def deviation_figure(rows: Sequence[Row], mode: int) -> Figure:
@@ -146,8 +166,10 @@ def deviation_figure(rows: Sequence[Row], mode: int) -> Figure:
     axes.axhline(0.0, color="#4b5563", linewidth=0.8)
     axes.set(xlabel="row", ylabel="from the median [ppm]")
     # One wild row must not make all others a line.
-    reach = 1e6 * float(np.quantile(np.abs(values / middle - 1.0) + 1.96 * sds / middle, 0.95))
-    axes.set_ylim(-1.4 * reach, 1.4 * reach)
+    reaches = 1e6 * (np.abs(values / middle - 1.0) + 1.96 * sds / middle)
+    reach = min(float(np.max(reaches)), 4.0 * float(np.median(reaches)))
+    axes.set_ylim(-1.2 * reach, 1.2 * reach)
+    axes.set_xticks(order if len(order) <= _FEW else np.linspace(1, len(order), 11).round())
     axes.set_title(f"mode {mode}: {middle:.6g} Hz", fontsize=10)
     return figure
 

@@ -99,7 +99,7 @@ ENTRIES = (
         "Figure 4.15",
         "Model predicted output y10 using dataset E1 vs. validation output V2",
         "the same, with the residual",
-        "How well the hub alone would predict this output is said beside it: a fit of 97 % at 10 mm needs no beam.",
+        "How well the hub alone would predict this output is said beside it.",
     ),
     Entry(
         "Figure 4.16",

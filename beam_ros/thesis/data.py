@@ -13,7 +13,6 @@ from beam_ident import (
     EstimatorSettings,
     IdentificationResult,
     OrderSelection,
-    OutputValidation,
     Scores,
     TransferFunctionModel,
     TransferFunctionResult,
@@ -24,6 +23,7 @@ from beam_ident import (
     validate,
 )
 from beam_ros.arrays import FloatArray
+from beam_ros.bags.apparatus import simulated_line
 from beam_ros.errors import UsageError
 from beam_ros.excitation.plan import plan_excitation
 from beam_ros.offline.loading.experiment import Experiment, load_experiment
@@ -74,6 +74,12 @@ class AtPoint:
     models: Mapping[str, TransferFunctionResult]
 
     @property
+    def left_out(self) -> int:
+        """How many poles BIC would have taken beyond those of the models: they stay in the residuals."""
+        chosen = next(entry for entry in self.orders.table if entry.is_chosen)
+        return max(chosen.n_poles - self.models["E2"].model.n_poles, 0)
+
+    @property
     def transfer_functions(self) -> dict[str, TransferFunctionModel]:
         """The models by their data sets."""
         return {name: result.model for name, result in self.models.items()}
@@ -102,6 +108,11 @@ class ThesisData:
     points: tuple[AtPoint, ...]
     validations: Mapping[tuple[str, str, str], ValidationResult]
     simulated: Simulated
+
+    @property
+    def apparatus(self) -> str:
+        """What must stand under the title where no beam was measured; empty where all data are measured."""
+        return simulated_line(own.apparatus for own in self.experiments.values())
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,13 +202,6 @@ def estimate_all(
         validations,
         _simulated(experiments["E1"], lower, upper),
     )
-
-
-def deflection_fit_percent(data: ThesisData, output: OutputValidation, unseen: str) -> float:
-    """Return the fit of what is left of an output when the hub's motion is taken away [%], alike for every model."""
-    drive = data.experiments[unseen].record.inputs[0]
-    bent = output.measured - np.interp(output.times_s, drive.times_s, drive.values)
-    return Scores.of(bent, output.residuals).fit_percent
 
 
 def hub_alone_fit_percent(data: ThesisData, name: str, unseen: str) -> float:

@@ -10,11 +10,11 @@ import numpy as np
 
 from beam_ident import EstimationError, local_polynomial_response
 from beam_ident.figures.canvas import COLOURS, MEASURED, MODEL, REFERENCE, axes_grid, drawn, stacked_axes
+from beam_ident.report.quantities import with_uncertainty
 from beam_ros.arrays import ComplexArray, FloatArray
 from beam_ros.offline.loading.experiment import Experiment
 from beam_ros.rig.rig import Rig
 from beam_ros.thesis.data import AtPoint, ThesisData
-from beam_ros.thesis.tables import interval
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -185,7 +185,7 @@ def two_resonances(data: ThesisData) -> Figure:
     for frequency, sd in zip(result.model.frequencies_hz, result.model.natural_frequency_sd, strict=True):
         axis.axvline(frequency, color=MODEL, linewidth=0.9)
         axis.annotate(
-            f" {interval(frequency, sd / (2.0 * math.pi))} Hz",
+            f" {with_uncertainty(frequency, sd / (2.0 * math.pi))} Hz",
             (frequency, 0.97),
             xycoords=("data", "axes fraction"),
             va="top",

@@ -7,14 +7,16 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import chdtrc as chi_squared_tail
 
 from beam_ident import ModalModel, OrderSelection, TransferFunctionModel, compare_step_responses
+from beam_ident.report.quantities import r_squared, with_uncertainty
 from beam_ros.arrays import FloatArray
 from beam_ros.excitation.plan import plan_excitation
 from beam_ros.excitation.recipes import KINDS
-from beam_ros.thesis.data import AtPoint, ThesisData, deflection_fit_percent, hub_alone_fit_percent
+from beam_ros.thesis.data import AtPoint, ThesisData, hub_alone_fit_percent
 
-_COVERAGE = 1.96
+_LEVEL = 0.01  # how often models that agree are said not to
 
 _FUNCTIONS = {
     "E1": "estimation by a sweep",
@@ -158,8 +160,12 @@ def model_parameters(data: ThesisData, at: AtPoint) -> Table:
         ]
         spread = math.hypot(values[0][1], values[1][1])
         apart = f"{(values[0][0] - values[1][0]) / spread:+.1f}" if spread > 0.0 else "known"
-        rows.append((name, *(f"{value:.6e} ± {_COVERAGE * sd:.1e}" for value, sd in values), apart))
-    notes = ["Intervals are of 95 %. The denominator begins with 1; powers of s fall from left to right."]
+        cells = (with_uncertainty(value, sd) for value, sd in values)
+        rows.append((f"{name} [{_unit(first, name)}]", *cells, apart))
+    notes = [
+        "± is one standard deviation, as everywhere here. The denominator begins with 1; powers of s fall from "
+        "left to right. Input and output are in metres."
+    ]
     for unseen in ("V1", "V2", "S"):
         if (at.point.name, "E1", unseen) not in data.validations:
             continue
@@ -167,7 +173,7 @@ def model_parameters(data: ThesisData, at: AtPoint) -> Table:
             data.validations[at.point.name, name, unseen].output(at.point.name) for name in ("E1", "E2")
         ]
         rows.append((f"FIT on {unseen} [%]", *(f"{own.scores.fit_percent:.3f}" for own in outputs), "–"))
-        rows.append((f"R² on {unseen}", *(f"{own.scores.r_squared:.6f}" for own in outputs), "–"))
+        rows.append((f"R² on {unseen}", *(r_squared(own.scores.r_squared) for own in outputs), "–"))
         rows.append((f"residual over noise on {unseen}", *(f"{own.noise_ratio:.2f}" for own in outputs), "–"))
         rows.append(
             (
@@ -187,10 +193,25 @@ def model_parameters(data: ThesisData, at: AtPoint) -> Table:
         @ (difference[free] / scale)
     )
     notes.append(
-        f"Between E1 and E2 all coefficients together differ by chi-squared {joint:.1f}, where {len(free)} are "
-        "expected of noise alone."
+        f"Between E1 and E2 all coefficients together differ by chi-squared {joint:.1f} over {len(free)} of them, "
+        f"p = {chi_squared_tail(len(free), joint):.2g}: {_agreement(float(chi_squared_tail(len(free), joint)))}"
     )
     return Table(("parameter", "from E1", "from E2", "difference [sd]"), tuple(rows), tuple(notes))
+
+
+def _unit(model: TransferFunctionModel, name: str) -> str:
+    """Return the unit of a coefficient, where input and output have one."""
+    if name == "delay":
+        return "s"
+    zeros = model.n_poles - len(model.numerator) + 1
+    power = int(name[1:]) + (zeros if name[0] == "b" else 0)
+    return "1" if power == 0 else f"s^-{power}"
+
+
+def _agreement(p_value: float) -> str:
+    if p_value >= _LEVEL:
+        return "they agree."
+    return "noise alone hardly does that, and one of the two models lacks something or claims too much."
 
 
 def modal_parameters(data: ThesisData) -> Table:
@@ -217,8 +238,8 @@ def modal_parameters(data: ThesisData) -> Table:
             best = min(near, key=lambda k: abs(float(modes[0][k]) / (2.0 * math.pi * frequency) - 1.0))
             omega, zeta, omega_sd, zeta_sd = (float(part[best]) for part in modes)
             hertz = 2.0 * math.pi
-            cells.append(interval(omega / hertz, omega_sd / hertz))
-            cells.append(interval(100.0 * zeta, 100.0 * zeta_sd))
+            cells.append(with_uncertainty(omega / hertz, omega_sd / hertz))
+            cells.append(with_uncertainty(100.0 * zeta, 100.0 * zeta_sd))
         rows.append(tuple(cells))
 
     for at in data.points:
@@ -230,9 +251,14 @@ def modal_parameters(data: ThesisData) -> Table:
         ("theory", *(cell for hertz, zeta in theory for cell in (f"{hertz:.4f}", f"{100.0 * zeta:.4f}")))
     )
     tips = {name: 1e3 * plan_excitation(data.rigs[name]).prediction.tip_deflection for name in data.modal}
+    of_theory = (
+        "theory is what was simulated."
+        if data.apparatus
+        else "theory inherits 2 % from the thickness of a real strip, and air, clamp and temperature shift it by "
+        "tenths of a percent."
+    )
     note = (
-        "Intervals are of 95 %, of the statistics alone; theory inherits 2 % from the thickness of a real strip, and "
-        "the air, the clamp and the temperature shift it by tenths of a percent. A damping ratio holds for its "
+        f"± is the standard deviation of the statistics alone; {of_theory} A damping ratio holds for its "
         "amplitude: the tip swung by at most "
         + " and ".join(f"{tip:.1f} mm in {name}" for name, tip in tips.items())
         + "."
@@ -263,7 +289,7 @@ def step_fits(data: ThesisData) -> Table:
                     f"y{at.point.number}: {label}",
                     f"{compared.measured_fit_percent[k]:.3f}",
                     f"{own.simulation_scores.fit_percent:.3f}",
-                    f"{deflection_fit_percent(data, own, 'S'):.2f}",
+                    f"{own.deflection_scores.fit_percent:.2f}",
                     f"{compared.fit_percent[0, k]:.3f}",
                     f"{own.noise_ratio:.2f}",
                 )
@@ -300,12 +326,3 @@ MADE: Mapping[str, Callable[[ThesisData], Table]] = {
 
 def _number(value: float, form: str) -> str:
     return format(value, form) if math.isfinite(value) else "–"
-
-
-def interval(value: float, sd: float) -> str:
-    """Return a value with its 95 % interval, to two digits of the latter."""
-    half = _COVERAGE * sd
-    if not (math.isfinite(half) and half > 0.0):
-        return f"{value:.4f}"
-    decimals = min(max(1 - math.floor(math.log10(half)), 0), 8)
-    return f"{value:.{decimals}f} ± {half:.{decimals}f}"

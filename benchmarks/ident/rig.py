@@ -64,9 +64,15 @@ class Rig:
         )
 
     def record(
-        self, seed: int, *, quantum: float = 1e-7, encoder_sd: float = 0.0, colour: float = 0.0
+        self,
+        seed: int,
+        *,
+        quantum: float = 1e-7,
+        encoder_sd: float = 0.0,
+        colour: float = 0.0,
+        shared: tuple[float, float, float] = (0.0, 0.0, 0.0),
     ) -> TimeRecord:
-        """Return a record with camera noise of 5 um of an AR(1) colour.
+        """Return a record with camera noise of 5 um of an AR(1) colour, of which the outputs share some variance.
 
         The encoder counts quanta [m] from a zero of its own and adds noise [m].
         """
@@ -78,6 +84,14 @@ class Rig:
         drive = InputSignal("hub", "m", (0.0, 1e-3), positions, "cubic", sigma)
         white = rng.standard_normal((self.clean.shape[0] + 200, 3))
         noise = np.sqrt(1.0 - colour**2) * lfilter([1.0], [1.0, -colour], white, axis=0)[200:]
+        if any(shared):
+            common = np.sqrt(1.0 - colour**2) * lfilter(
+                [1.0], [1.0, -colour], rng.standard_normal(len(self.clean) + 200)
+            )
+            share = np.array(shared)
+            noise = np.sqrt(1.0 - np.abs(share)) * noise + np.outer(
+                common[200:], np.sign(share) * np.sqrt(np.abs(share))
+            )
         values = self.clean + 5e-6 * noise
         outputs = [
             OutputSignal(n, "m", self.stamps, values[:, j], self.exposure) for j, n in enumerate(self.names)
@@ -95,9 +109,9 @@ def flat(model: ModalModel) -> tuple[np.ndarray, np.ndarray]:
 class RigCase(AgainstBound):
     """Everything of three modes; the bound is that of the noise as it is, on input and outputs."""
 
-    def __init__(self, encoder_sd: float = 0.0, colour: float = 0.0) -> None:
+    def __init__(self, encoder_sd: float = 0.0, **noise: Any) -> None:
         self.rig = Rig()
-        self.noise = {"encoder_sd": encoder_sd, "colour": colour}
+        self.noise: dict[str, Any] = {"encoder_sd": encoder_sd, **noise}
         self.truth = self.rig.truth
 
     @cached_property
@@ -197,6 +211,14 @@ class NoisyEncoderCase(RigCase):
 STUDIES = {
     "rig": Study("rig, 0.1 um encoder, white camera noise", 400, RigCase),
     "rig-colour": Study("rig, camera noise AR(1) of 0.7", 400, lambda: RigCase(colour=0.7)),
+    "rig-shared": Study(
+        "rig, 97 % of the camera noise alike at all points", 200, lambda: RigCase(shared=(0.97, 0.97, 0.97))
+    ),
+    "rig-shared-colour": Study(
+        "rig, camera noise AR(1) of 0.7, half of it shared with either sign",
+        200,
+        lambda: RigCase(colour=0.7, shared=(0.5, -0.5, 0.5)),
+    ),
     "rig-encoder": Study("rig, 1 um of encoder noise", 400, lambda: RigCase(encoder_sd=1e-6)),
     "rig-encoder-bare": Study(
         "rig, 20 um of encoder noise, stated, no commands", 200, lambda: NoisyEncoderCase(20e-6, True)

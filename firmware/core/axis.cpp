@@ -123,12 +123,15 @@ void Axis::measure(const Reading& reading) {
         sample.effort = reading.effort;
         telemetry.add(tick_ - 1, sample);
     }
-    if (drive_.is_free) {
+    const std::int32_t step = encoder_.step();
+    is_encoder_lost_ = !reading.is_counter_valid || step > greatest_step_ || step < -greatest_step_;
+    // What an encoder that is lost says of a free hub is no motion: the ramp begins with the speed before.
+    if (drive_.is_free && !is_encoder_lost_) {
         // The last tick's mean speed is half a tick old; it goes on changing as it did from the tick before.
         motion_.position = static_cast<double>(counts_from_zero()) * settings_.encoder_resolution;
-        motion_.velocity = (1.5 * encoder_.step() - 0.5 * last_step_) * tick_speed_;
+        motion_.velocity = (1.5 * step - 0.5 * last_step_) * tick_speed_;
     }
-    last_step_ = encoder_.step();
+    last_step_ = step;
     last_count_from_zero_ = counts_from_zero();
 }
 
@@ -155,15 +158,15 @@ void Axis::watch() {
 
 /// Stops where encoder, drive or end switches report trouble; after that the position is not trusted before homing.
 void Axis::watch_axis() {
-    const std::int32_t step = encoder_.step();
-    const bool is_encoder_lost = !reading_.is_counter_valid || step > greatest_step_ || step < -greatest_step_;
-    is_position_lost_ = is_position_lost_ || is_encoder_lost;
+    is_position_lost_ = is_position_lost_ || is_encoder_lost_ || reading_.has_lost_steps;
     const Activity activity = appearance().activity;
     if (activity == Activity::idle || activity == Activity::stopping) {
         return;
     }
-    if (is_encoder_lost) {
+    if (is_encoder_lost_) {
         emergency_stop(Fault::encoder_lost, "the encoder gives no valid position");
+    } else if (reading_.has_lost_steps) {
+        emergency_stop(Fault::following_error, "a tick was late, or had more steps than get out in its time");
     } else if (reading_.has_drive_alarm) {
         is_position_lost_ = true;
         emergency_stop(Fault::drive_alarm, "the motor's drive reports an alarm");

@@ -127,6 +127,7 @@ private:
     std::int64_t last_count_from_zero_ = 0;
     std::int32_t last_step_ = 0;
     Reading reading_;
+    bool is_encoder_lost_ = false;
     bool is_position_lost_ = false;
 
     std::uint64_t fed_tick_ = 0;

@@ -29,6 +29,7 @@ struct Reading {
     bool is_at_low_end = false;      ///< the end switch at -x
     bool is_at_high_end = false;     ///< the end switch at +x
     bool has_drive_alarm = false;
+    bool has_lost_steps = false;     ///< the steps of an earlier tick did not all get out in its time
 };
 
 /// What the drive has to do during a tick.

@@ -114,13 +114,13 @@ void Core::handle(const std::uint8_t* payload, std::size_t size, std::uint64_t a
     case setpoint:
         number = reader.take<std::uint16_t>();
         value = reader.take<double>();
-        is_whole = reader.is_whole();
+        is_whole = reader.is_whole() && number != 0;
         break;
     case arm:
         number = reader.take<std::uint16_t>();
         start_ns = reader.take<std::uint64_t>();
         count = reader.take<std::uint32_t>();
-        is_whole = reader.is_whole();
+        is_whole = reader.is_whole() && number != 0;
         break;
     case samples:
         number = reader.take<std::uint16_t>();
@@ -277,8 +277,7 @@ void Core::poll() {
             axis_.telemetry.clear();
         }
     }
-    while (axis_.telemetry.size() >= settings_.batch_ticks) {
-        send_batch();
+    while (send_batch()) {
         const Hold hold(board_);
         send_status();
     }
@@ -353,13 +352,17 @@ void Core::send_arm_reply() {
     send(message);
 }
 
-/// Sends the oldest batch; ticks may go on meanwhile, they only add.
-void Core::send_batch() {
+/// Sends the oldest batch if there is a whole one. Ticks may go on meanwhile: where there is no more room they throw away
+/// what waits, so nothing that was seen before they are held counts.
+bool Core::send_batch() {
     const std::uint32_t n = settings_.batch_ticks;
     Writer message(payload_);
     {
         const Hold hold(board_);
         const Telemetry& waiting = axis_.telemetry;
+        if (waiting.size() < n) {
+            return false;
+        }
         message.put(telemetry);
         message.put(waiting.first_tick());
         message.put(settings_.batch_ticks);
@@ -378,6 +381,7 @@ void Core::send_batch() {
         axis_.telemetry.drop(n);
     }
     send(message);
+    return true;
 }
 
 /// Puts a message on the way as one frame; where the line takes no more, it is left out.

@@ -47,7 +47,7 @@ private:
     void send_status();
     void send_reply(const Request& request);
     void send_arm_reply();
-    void send_batch();
+    bool send_batch();
     void send(const Writer& message);
     void write();
 

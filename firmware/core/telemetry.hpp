@@ -33,8 +33,9 @@ public:
 
     void clear() { size_ = 0; }
 
-    /// Removes the oldest samples.
+    /// Removes the oldest samples, at most all that wait.
     void drop(std::uint32_t n) {
+        n = n < size_ ? n : size_;
         first_tick_ += n;
         size_ -= n;
     }

@@ -4,13 +4,22 @@
 #define BEAM_HOST_VIRTUAL_BOARD_HPP
 
 #include <cstdint>
-#include <string>
 #include <vector>
 
 #include "../core/board.hpp"
 #include "../plant/ideal_axis.hpp"
+#include "../plant/plant_port.hpp"
 
 namespace beam {
+
+/// What somebody does to the axis by hand: signals held on or off (the flags of a reading), a hub that is stuck, a
+/// counter that is wrong.
+struct Interference {
+    std::uint8_t on = 0;
+    std::uint8_t off = 0;
+    std::uint8_t is_stuck = 0;
+    std::int32_t counts = 0;
+};
 
 class VirtualBoard final : public Board {
 public:
@@ -25,24 +34,15 @@ public:
     }
     Reading measure() override {
         Reading reading = axis_.measure();
-        if (driven.tick < accident_tick || accident.empty()) {
-            stuck_at_ = reading.counter;
-        } else if (accident == "lost") {
-            reading.is_counter_valid = false;
-        } else if (accident == "jump") {
-            reading.counter += 1'000'000;
-        } else if (accident == "stuck") {
-            reading.counter = stuck_at_;
-        } else if (accident == "end") {
-            reading.is_at_low_end = reading.is_at_high_end = true;
-        } else if (accident == "alarm") {
-            reading.has_drive_alarm = true;
-        }
-        reading.is_below_home = reading.is_below_home && accident != "blind";
+        reading.counter += static_cast<std::uint32_t>(interference.counts);
+        const unsigned flags = (flags_of(reading) | interference.on) & ~static_cast<unsigned>(interference.off);
+        set_flags(reading, static_cast<std::uint8_t>(flags));
         return reading;
     }
     void drive(const Drive& drive) override {
-        axis_.drive(drive);
+        if (interference.is_stuck == 0) {
+            axis_.drive(drive);
+        }
         driven = drive;
     }
     void feed_watchdog() override {}
@@ -52,12 +52,10 @@ public:
     std::uint64_t now_ns = 0;
     std::vector<std::uint8_t> output;
     Drive driven;
-    std::string accident;
-    static constexpr std::uint64_t accident_tick = 5000;
+    Interference interference;
 
 private:
     IdealAxis& axis_;
-    std::uint32_t stuck_at_ = 0;
 };
 
 }  // namespace beam

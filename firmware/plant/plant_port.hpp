@@ -6,6 +6,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <cstring>
+#include <initializer_list>
 
 #include "../core/board.hpp"
 #include "../core/framing.hpp"
@@ -13,6 +14,28 @@
 #include "../core/wire.hpp"
 
 namespace beam {
+
+/// The signals of a reading, as the plant port has them.
+inline std::uint8_t flags_of(const Reading& reading) {
+    std::uint8_t flags = 0;
+    std::uint8_t bit = 1;
+    for (bool is_on : {reading.is_counter_valid, reading.has_home_counter, reading.is_below_home,
+                       reading.is_at_low_end, reading.is_at_high_end, reading.has_drive_alarm,
+                       reading.has_lost_steps}) {
+        flags = static_cast<std::uint8_t>(flags | (is_on ? bit : 0U));
+        bit = static_cast<std::uint8_t>(bit << 1U);
+    }
+    return flags;
+}
+
+inline void set_flags(Reading& reading, std::uint8_t flags) {
+    for (bool* signal : {&reading.is_counter_valid, &reading.has_home_counter, &reading.is_below_home,
+                         &reading.is_at_low_end, &reading.is_at_high_end, &reading.has_drive_alarm,
+                         &reading.has_lost_steps}) {
+        *signal = (flags & 1U) != 0;
+        flags = static_cast<std::uint8_t>(flags >> 1U);
+    }
+}
 
 class PlantPort {
 public:
@@ -101,12 +124,7 @@ private:
             now.home_counter = reader.take<std::uint32_t>();
             now.effort = reader.take<float>();
             const auto flags = reader.take<std::uint8_t>();
-            now.is_counter_valid = (flags & 1U) != 0;
-            now.has_home_counter = (flags & 2U) != 0;
-            now.is_below_home = (flags & 4U) != 0;
-            now.is_at_low_end = (flags & 8U) != 0;
-            now.is_at_high_end = (flags & 16U) != 0;
-            now.has_drive_alarm = (flags & 32U) != 0;
+            set_flags(now, flags);
             if (reader.is_whole() && (!has_driven_ || tick == drive_.tick + 1)) {
                 reading_ = now;
                 reading_tick_ = tick;

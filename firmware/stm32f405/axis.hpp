@@ -10,6 +10,9 @@
 
 namespace beam::stm32 {
 
+/// Takes the drive's current away: the first thing after a reset, and in every fault. It needs nothing but registers.
+void cut_power();
+
 /// Makes the axis ready; returns what it is. Where a plant stands behind the board, it is waited for.
 Settings begin_axis(std::uint32_t boot_id);
 

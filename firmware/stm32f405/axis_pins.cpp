@@ -1,25 +1,40 @@
 // A stepper or servo drive with step and direction, a quadrature encoder and switches. Not tried on hardware.
 //
 //     PA0, PA1   encoder A, B           timer 5 counts it, 32 bits
-//     PA2        home switch, on below home; timer 5 latches the count where it changes
+//     PA2        home switch, high below home; timer 5 latches the count where it changes
 //     PA8        step                   timer 1 makes a tick's pulses
 //     PB0, PB1   direction (high: +x), enable (high: on)
 //     PB4, PB5   end switches at -x, +x (high: hit)
 //     PB6        alarm of the drive (high: alarm)
 //     PA9, PA10  the host's line
+//
+// Every input is pulled up, and every switch closes to ground while all is well: a cut wire reads as a hit, an alarm, or
+// a hub below home, whose edge is then never found. Between a reset and the first instructions the pins float: PB1 wants
+// a resistor to ground outside (docs/firmware.md).
 
 #include <initializer_list>
 
 #include "../plant/default_rig.hpp"
 #include "axis.hpp"
+#include "pulse_train.hpp"
 #include "registers.hpp"
 
 namespace beam::stm32 {
 
 namespace {
 
-constexpr double step_length = 1e-5;
-constexpr std::uint32_t most_steps = 256;
+constexpr Settings make_settings() {
+    Settings settings = default_rig();
+    settings.name = "beam firmware, STM32F405";
+    settings.step_length = 1e-5;
+    return settings;
+}
+
+constexpr Settings settings = make_settings();
+constexpr std::uint32_t period_ns = settings.period_ns;
+static_assert(window_counts(period_ns) <= most_counts, "one pulse in a tick must fit timer 1");
+static_assert(steps_needed(settings) <= most_steps(period_ns),
+              "at its greatest speed the axis needs more steps in a tick than the drive can tell apart; make steps longer");
 
 constexpr unsigned home_pin = 2;
 constexpr unsigned direction_pin = 0;
@@ -29,6 +44,10 @@ constexpr unsigned high_end_pin = 5;
 constexpr unsigned alarm_pin = 6;
 
 enum class Use : std::uint32_t { input = 0, output = 1, alternate = 2 };
+constexpr std::uint32_t port_a_enable = 1U << 0U;
+constexpr std::uint32_t port_b_enable = 1U << 1U;
+
+void pull_up(Port& port, unsigned pin) { port.pull = (port.pull & ~(3U << pin * 2U)) | 1U << pin * 2U; }
 
 void use_pin(Port& port, unsigned pin, Use use, std::uint32_t function = 0) {
     port.mode = (port.mode & ~(3U << pin * 2U)) | static_cast<std::uint32_t>(use) << pin * 2U;
@@ -48,37 +67,34 @@ constexpr std::uint32_t active_late = 7U << 4U;
 constexpr std::uint32_t output_enable = 1U << 15U;
 constexpr std::uint32_t run = 1U;
 constexpr std::uint32_t once = 1U << 3U;
-/// Timer 1 counts at 42 MHz.
-constexpr std::uint32_t pulse_prescaler = 3;
-constexpr std::uint32_t counts_per_us = 42;
-/// The last pulse of a tick is over before the next tick begins.
-constexpr std::uint32_t part_of_tick = 95;
-
 Timer& encoder() { return at<Timer>(0x40000C00); }
 
-std::uint32_t tick_counts = 0;
 std::uint32_t home_counter = 0;
 bool has_home_counter = false;
+bool has_lost_steps = false;
 
 }  // namespace
 
-Settings begin_axis(std::uint32_t /*boot_id*/) {
-    Settings settings = default_rig();
-    settings.name = "beam firmware, STM32F405";
-    settings.step_length = step_length;
-    tick_counts = settings.period_ns / 1000 * counts_per_us / 100 * part_of_tick;
+void cut_power() {
+    rcc().ahb1_enable |= port_b_enable;
+    // A port takes what is written to it two cycles after its clock (RM0090, section 7.3.10): reading back waits for that.
+    [[maybe_unused]] const std::uint32_t settled = rcc().ahb1_enable;
+    set(port('B'), enable_pin, false);
+    use_pin(port('B'), enable_pin, Use::output);
+}
 
-    rcc().ahb1_enable |= 3U;
+Settings begin_axis(std::uint32_t /*boot_id*/) {
+    rcc().ahb1_enable |= port_a_enable | port_b_enable;
     rcc().apb1_enable |= 1U << 3U;
     rcc().apb2_enable |= 1U;
     for (unsigned pin : {0U, 1U, home_pin}) {
+        pull_up(port('A'), pin);
         use_pin(port('A'), pin, Use::alternate, 2);
     }
     use_pin(port('A'), 8, Use::alternate, 1);
-    for (unsigned pin : {direction_pin, enable_pin}) {
-        use_pin(port('B'), pin, Use::output);
-    }
+    use_pin(port('B'), direction_pin, Use::output);
     for (unsigned pin : {low_end_pin, high_end_pin, alarm_pin}) {
+        pull_up(port('B'), pin);
         use_pin(port('B'), pin, Use::input);
     }
 
@@ -89,7 +105,7 @@ Settings begin_axis(std::uint32_t /*boot_id*/) {
     encoder().reload = 0xFFFFFFFFU;
     encoder().control1 = run;
 
-    timer1().prescaler = pulse_prescaler;
+    timer1().prescaler = pulse_prescaler(period_ns);
     timer1().capture_mode[0] = active_late;
     timer1().capture_enable = 1;
     timer1().break_dead = output_enable;
@@ -113,6 +129,8 @@ Reading measure() {
     reading.is_at_low_end = is_high(port('B'), low_end_pin);
     reading.is_at_high_end = is_high(port('B'), high_end_pin);
     reading.has_drive_alarm = is_high(port('B'), alarm_pin);
+    reading.has_lost_steps = has_lost_steps;
+    has_lost_steps = false;
     return reading;
 }
 
@@ -121,12 +139,17 @@ void drive(const Drive& drive) {
     if (drive.steps == 0) {
         return;
     }
+    const auto steps = static_cast<std::uint32_t>(drive.steps > 0 ? drive.steps : -drive.steps);
+    // Pulses that still run belong to a tick that was late: those of the next would cut them off. None is made up for.
+    if ((timer1().control1 & run) != 0 || steps > most_steps(period_ns)) {
+        has_lost_steps = true;
+        return;
+    }
     set(port('B'), direction_pin, drive.steps > 0);
-    const auto wanted = static_cast<std::uint32_t>(drive.steps > 0 ? drive.steps : -drive.steps);
-    const std::uint32_t steps = wanted < most_steps ? wanted : most_steps;
-    timer1().reload = tick_counts / steps - 1;
-    timer1().capture[0] = tick_counts / steps / 2;
-    timer1().repetition = steps - 1;
+    const PulseTrain train = pulse_train(period_ns, steps);
+    timer1().reload = train.reload;
+    timer1().capture[0] = train.compare;
+    timer1().repetition = train.repetition;
     // An update takes these over; the timer stops by itself after the last of the pulses.
     timer1().events = 1;
     timer1().control1 = run | once;

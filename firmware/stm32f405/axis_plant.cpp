@@ -5,6 +5,7 @@
 #include "../plant/default_rig.hpp"
 #include "../plant/plant_port.hpp"
 #include "axis.hpp"
+#include "hardware_watchdog.hpp"
 #include "load.hpp"
 #include "registers.hpp"
 
@@ -68,6 +69,8 @@ void await_bell() {
 
 }  // namespace
 
+void cut_power() {}
+
 Settings begin_axis(std::uint32_t boot_id) {
     Settings settings = default_rig();
     settings.name = "beam firmware, STM32F405 with a plant";
@@ -80,6 +83,7 @@ Settings begin_axis(std::uint32_t boot_id) {
     plant->poll(clock_ns());
     send();
     while (!plant->is_set_up()) {
+        feed_watchdog();
         await_bell();
     }
     return plant->settings();

@@ -1,5 +1,6 @@
 #include "clock.hpp"
 
+#include "hardware_watchdog.hpp"
 #include "registers.hpp"
 
 extern "C" std::uint32_t pacing;
@@ -8,6 +9,16 @@ namespace beam::stm32 {
 
 namespace {
 
+constexpr std::uint32_t power_enable = 1U << 28U;
+/// The detector at its highest threshold, 2.9 V falling (RM0090, section 5.4.1), and on.
+constexpr std::uint32_t detect_2_9_volts = 7U << 5U | 1U << 4U;
+constexpr std::uint32_t is_below = 1U << 2U;
+/// Its output is line 16 of the external interrupts: high while the supply is below.
+constexpr std::uint32_t supply_line = 1U << 16U;
+constexpr unsigned supply_interrupt = 1;
+
+/// The clock security system: where the crystal fails, the processor goes on with its own 16 MHz, into the NMI.
+constexpr std::uint32_t security_on = 1U << 19U;
 constexpr std::uint32_t hse_on = 1U << 16U;
 constexpr std::uint32_t hse_ready = 1U << 17U;
 constexpr std::uint32_t pll_on = 1U << 24U;
@@ -19,7 +30,7 @@ constexpr std::uint32_t bus_setting = 5U << 10U | 4U << 13U | 2U;
 constexpr std::uint32_t flash_setting = 5U | 1U << 8U | 1U << 9U | 1U << 10U;
 constexpr std::uint32_t timer2_enable = 1U << 0U;
 
-/// How often a flag is looked at: at 16 MHz well over the crystal's time to start.
+/// How often a flag is looked at: eight cycles or more each time, at 16 MHz half a second.
 constexpr std::uint32_t patience = 1'000'000;
 
 constexpr std::uint32_t counts_per_us = 84;
@@ -41,6 +52,7 @@ bool wait_until(Condition condition) {
         if (condition()) {
             return true;
         }
+        feed_watchdog();
     }
     return false;
 }
@@ -50,6 +62,7 @@ bool begin_pll() {
     if (!wait_until([] { return (rcc().control & hse_ready) != 0; })) {
         return false;
     }
+    rcc().control |= security_on;
     rcc().pll = pll_setting;
     rcc().control |= pll_on;
     flash_access() = flash_setting;
@@ -61,6 +74,16 @@ bool begin_pll() {
 }
 
 }  // namespace
+
+bool begin_supply_watch() {
+    rcc().apb1_enable |= power_enable;
+    power().control |= detect_2_9_volts;
+    external_interrupts().rising |= supply_line;
+    external_interrupts().mask |= supply_line;
+    // Its handler is the one of every fault; no priority is set, so it is the highest.
+    enable_interrupt(supply_interrupt);
+    return (power().status & is_below) == 0;
+}
 
 bool begin_clocks() {
     const bool is_emulated = rcc().control == 0;
@@ -101,6 +124,7 @@ bool begin_ticks(std::uint32_t period_ns) {
     const std::uint64_t begin_ns = (clock_ns() / period_ns + 1) * period_ns;
     system_timer().reload = static_cast<std::uint32_t>(cycles) / (is_paced() ? paced_interrupts_per_tick : 1) - 1;
     while (clock_ns() < begin_ns) {
+        feed_watchdog();
     }
     system_timer().count = 0;
     system_timer().control = 7;

@@ -11,9 +11,14 @@ constexpr std::uint32_t core_hz = 168'000'000;
 /// Of the bus of the first serial port.
 constexpr std::uint32_t apb2_hz = 84'000'000;
 
-/// Brings the processor to 168 MHz from a crystal of 25 MHz, and lets the counter run.
+/// Lets a supply that falls below 2.9 V end in a fault, before the processor's own limit of 1.8 V; false: it is below now.
+bool begin_supply_watch();
+
+/// Brings the processor to 168 MHz from a crystal of 25 MHz, and lets the counter run. A crystal that stops later ends in
+/// a fault.
 ///
-/// Returns false where the clocks do not start within their time. QEMU has no clock controller (all of its registers read
+/// The watchdog runs already, and is fed while crystal and PLL are waited for: a slow crystal (usual are 2 ms) may take its
+/// time. Returns false where they do not start within half a second or more; nobody feeds the watchdog then, and it resets. QEMU has no clock controller (all of its registers read
 /// 0) and always runs at 168 MHz, but for its timers.
 bool begin_clocks();
 

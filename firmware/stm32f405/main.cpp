@@ -3,6 +3,7 @@
 #include "../core/core.hpp"
 #include "axis.hpp"
 #include "clock.hpp"
+#include "hardware_watchdog.hpp"
 #include "load.hpp"
 #include "registers.hpp"
 #include "serial_port.hpp"
@@ -21,11 +22,7 @@ constexpr std::uint32_t watchdog_reset = 1U << 29U;
 constexpr std::uint32_t forget_resets = 1U << 24U;
 constexpr std::uint32_t random_patience = 10'000;
 
-/// The watchdog counts 8 kHz, plus or minus half of it: 20 ms.
-constexpr std::uint32_t watchdog_counts = 160;
-constexpr std::uint32_t watchdog_feed = 0xAAAA;
-constexpr std::uint32_t watchdog_unlock = 0x5555;
-constexpr std::uint32_t watchdog_start = 0xCCCC;
+static_assert(watchdog_counts(99'000'000) <= most_watchdog_counts, "the longest tick must fit the watchdog");
 
 SerialPort line(usart1());
 
@@ -56,7 +53,7 @@ public:
     std::size_t write(const std::uint8_t* data, std::size_t size) override { return line.write(data, size); }
     Reading measure() override { return stm32::measure(); }
     void drive(const Drive& drive) override { stm32::drive(drive); }
-    void feed_watchdog() override { watchdog().key = watchdog_feed; }
+    void feed_watchdog() override { stm32::feed_watchdog(); }
     void hold_ticks() override { mask_from(axis_priority); }
     void release_ticks() override { mask_from(0); }
 
@@ -95,20 +92,14 @@ void begin_line() {
     enable_interrupt(usart1_interrupt);
 }
 
-void begin_watchdog() {
-    watchdog().key = watchdog_start;
-    watchdog().key = watchdog_unlock;
-    watchdog().prescaler = 0;
-    watchdog().reload = watchdog_counts;
-    watchdog().key = watchdog_feed;
-}
-
 }  // namespace
 
-/// What startup.cpp calls. It returns only where the clocks do not start: then nothing moves and nobody is answered.
+/// What startup.cpp calls. It returns only where clocks or supply are not what they must be: then nothing moves, nobody is
+/// answered, and the watchdog soon tries again.
 void run() {
+    begin_watchdog(least_watchdog_counts);
     set_priorities();
-    if (!begin_clocks()) {
+    if (!begin_supply_watch() || !begin_clocks()) {
         return;
     }
     static Stm32Board board;
@@ -118,7 +109,7 @@ void run() {
     period_ns = settings.period_ns;
     the_core.start();
     core = &the_core;
-    begin_watchdog();
+    begin_watchdog(watchdog_counts(period_ns));
     if (!begin_ticks(settings.period_ns)) {
         return;
     }

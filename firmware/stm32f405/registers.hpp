@@ -21,6 +21,16 @@ struct ResetClockControl {
     Register backup, status;
 };
 
+/// Power control (section 5.4).
+struct PowerControl {
+    Register control, status;
+};
+
+/// External interrupts (section 12.3).
+struct ExternalInterrupts {
+    Register mask, event_mask, rising, falling, software, pending;
+};
+
 /// A port of 16 pins (section 8.4).
 struct Port {
     Register mode, output_type, speed, pull, input, output, set_reset, lock, alternate[2];
@@ -58,6 +68,8 @@ Registers& at(std::uint32_t address) {
 }
 
 inline ResetClockControl& rcc() { return at<ResetClockControl>(0x40023800); }
+inline PowerControl& power() { return at<PowerControl>(0x40007000); }
+inline ExternalInterrupts& external_interrupts() { return at<ExternalInterrupts>(0x40013C00); }
 inline Register& flash_access() { return at<Register>(0x40023C00); }
 inline Port& port(char name) { return at<Port>(0x40020000U + 0x400U * static_cast<std::uint32_t>(name - 'A')); }
 inline Timer& timer1() { return at<Timer>(0x40010000); }

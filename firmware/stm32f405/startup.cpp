@@ -2,6 +2,7 @@
 
 #include <cstdint>
 
+#include "axis.hpp"
 #include "registers.hpp"
 
 extern "C" {
@@ -57,6 +58,7 @@ extern const Vectors vectors;
 [[gnu::section(".vectors"), gnu::used]] constexpr Vectors vectors = make_vectors();
 
 void reset() {
+    beam::stm32::cut_power();
     beam::stm32::coprocessor_access() |= 0xFU << 20U;
     asm volatile("dsb\n\tisb" ::: "memory");
     for (std::uint32_t *to = &data_begin, *from = &data_stored; to != &data_end; ++to, ++from) {
@@ -76,8 +78,10 @@ void reset() {
     fault();
 }
 
-/// A processor that has lost its way: it does nothing more, and the hardware watchdog resets it.
+/// A processor that has lost its way, its crystal (NMI) or its supply (PVD): the drive loses its current at once, and the
+/// hardware watchdog resets the processor, which does nothing more.
 void fault() {
+    beam::stm32::cut_power();
     beam::stm32::hold_interrupts();
     for (;;) {
     }

@@ -81,7 +81,7 @@ def emulated(mode: str) -> EmulatedFirmware:
 @pytest.mark.parametrize("mode", COMMAND_MODES)
 def test_the_core_keeps_the_protocol_in_every_command_mode(mode):
     with VirtualCore(COMMAND_MODES.index(mode)) as core:
-        found = list(run_checks(VirtualLine(core), moves=True))
+        found = list(run_checks(VirtualLine(core), moves=True, bench=core))
     assert {result.name: result.reason for result in found if result.outcome != "passed"} == {}
 
 
@@ -252,35 +252,10 @@ def test_the_core_does_not_drift_over_a_million_samples():
 # Accidents ------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("accident", "name"),
-    [
-        ("lost", "encoder_lost"),
-        ("jump", "encoder_lost"),
-        ("stuck", "following_error"),
-        ("end", "end_switch"),
-        ("alarm", "drive_alarm"),
-    ],
-)
-def test_trouble_of_the_axis_stops_it_and_it_must_be_homed_again(accident, name):
-    with VirtualCore(mode=1, accident=accident) as core:
-        host = Host(core)
-        host.enable()
-        number = 1
-        while host.tick < 5600 and host.status().state == "enabled":
-            number += 1
-            side = 1.0 if host.tick // 200 % 2 else -1.0
-            host.say(protocol.Setpoint(number, 0.1 * side), ticks=20)
-        assert 5000 <= host.tick <= 5100
-        status = host.rest()
-        assert (status.state, status.fault_number) == ("homed", fault(name).number)
-        reply = host.say(protocol.Request(9, "enable"))[0]
-        assert reply.phase == "failure"
-        assert reply.text.startswith("cannot enable: ")
-
-
-def test_homing_ends_where_the_home_switch_never_changes():
-    with VirtualCore(position=-0.03, accident="blind") as core:
+@pytest.mark.parametrize("mode", COMMAND_MODES)
+def test_homing_ends_where_the_home_switch_never_changes(mode):
+    with VirtualCore(COMMAND_MODES.index(mode), position=-0.03) as core:
+        core.hold_signals(is_below_home=True)
         host = Host(core)
         host.say(protocol.Hello())
         host.say(protocol.SetLimits(1, LIMITS), protocol.Request(7, "home"))
@@ -288,3 +263,5 @@ def test_homing_ends_where_the_home_switch_never_changes():
         assert (status.state, status.fault_number) == ("identified", fault("homing_failed").number)
         (reply,) = [m for m in host.messages if isinstance(m, protocol.RequestReply) and m.phase != "pending"]
         assert (reply.phase, reply.text.startswith("homing ended early")) == ("failure", True)
+        # The way of the search, and the ramp.
+        assert -0.03 + 0.1 <= core.true_position < -0.03 + 0.1 + 1e-3

@@ -69,6 +69,7 @@ SHORT = (
 OFFLINE_VERBS = {
     "model": (),
     "design": (),
+    "shape": ("--to", "0.01", "--aim", "1e-3", "--out", "quiet"),
     "simulate": ("--bag", "bag", *SHORT),
     "info": ("bag",),
     "export": ("bag", "--csv", "folder"),

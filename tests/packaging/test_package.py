@@ -26,6 +26,7 @@ PACKAGES = ("beam_ros", "beam_model", "beam_ident")
 ROSDEP_KEYS = {  # top-level module: key in package.xml; None: from PyPI only, or part of another
     "numpy": "python3-numpy",
     "scipy": "python3-scipy",
+    "jinja2": "python3-jinja2",
     "matplotlib": "python3-matplotlib",
     "cv2": "python3-opencv",
     "serial": "python3-serial",
@@ -37,6 +38,9 @@ ROSDEP_KEYS = {  # top-level module: key in package.xml; None: from PyPI only, o
     "distributed": None,
     "numba": None,  # makes stepping and tracking quicker where it is
     "pyarrow": None,  # the table of a study, where it is
+    "pyuff": None,  # measurements of other programs, where these are
+    "nptdms": None,
+    "h5py": None,
     "fsspec": None,  # bags in an object store, where it is
 }
 
@@ -77,7 +81,7 @@ def test_the_manifest_names_every_package_that_is_imported() -> None:
 
 def test_the_core_requires_nothing_but_the_pure_core(setup_arguments: dict[str, Any]) -> None:
     names = {requirement.split(">")[0] for requirement in setup_arguments["install_requires"]}
-    assert names == {"numpy", "scipy", "rosbags", "mcap", "ruamel.yaml", "tqdm", "matplotlib"}
+    assert names == {"numpy", "scipy", "rosbags", "mcap", "ruamel.yaml", "tqdm", "jinja2", "matplotlib"}
 
 
 def test_the_ros_wheels_are_pinned_to_jazzy_and_to_where_they_exist(setup_arguments: dict[str, Any]) -> None:

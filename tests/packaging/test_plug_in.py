@@ -138,7 +138,7 @@ def test_a_link_that_nobody_adds_is_answered_with_all_there_are_and_the_nearest(
     )
     assert running.wait(40.0) == 2
     assert (
-        "axis.kind is 'toyy': expected one of beam, trajectory_controller, odrive, csv, toy; did you mean 'toy'?"
-        in running.output()
+        "axis.kind is 'toyy': expected one of beam, trajectory_controller, odrive, dynamixel, csv, toy; did you mean "
+        "'toy'?" in running.output()
     )
     assert running.output().count("\n") == 1

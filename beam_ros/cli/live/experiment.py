@@ -7,6 +7,7 @@ is done is kept after every step: --resume goes on after Ctrl-C or a crash, and 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from datetime import datetime, timezone
 from functools import partial
 from pathlib import Path
@@ -20,9 +21,13 @@ from beam_ros.process.progress import Progress
 from beam_ros.process.strict_json import strict_json
 
 if TYPE_CHECKING:
+    from beam_ident.report.gates import Gate
+    from beam_ros.excitation.shaping import MoveOrder
     from beam_ros.experiments.plan import Plan
     from beam_ros.experiments.steps import Means, Report
-    from beam_ros.offline.identification import Identification
+    from beam_ros.offline.identification import IdentificationOutcome
+    from beam_ros.offline.loading.options import FitOptions
+    from beam_ros.process.remote_paths import AnyPath
     from beam_ros.rig.rig import Rig
 
 
@@ -130,24 +135,28 @@ def _holds_state(folder: Path | None) -> bool:
     return folder is not None and (folder / STATE_FILE).exists()
 
 
-def _report(found: Identification, folder: Path, *, made: str) -> None:
-    """Write the report of an identification, with what its bags are worth."""
-    from beam_ros.checks.bag_check import gates_of_bag
+def _report(found: IdentificationOutcome, folder: Path, *, made: str) -> None:
     from beam_ros.reporting.identification import report_identification
 
-    gates = [gate for own in found.experiments for gate in gates_of_bag(own.path, own.rig, found.options)]
-    report_identification(found, folder, gates=gates, made=made)
+    report_identification(found, folder, made=made)
+
+
+def _check(bag: AnyPath, options: FitOptions) -> Sequence[Gate]:
+    from beam_ros.checks.bag_check import gates_of_bag
+
+    return gates_of_bag(bag, None, options)
 
 
 def _means(plan: Plan, folder: Path) -> Means:
     from beam_ros.experiments.steps import Means, record_by_core
 
     if not plan.is_live:
-        return Means(record_by_core, _calibrate, _report)
+        return Means(record_by_core, _calibrate, _check, _report, _shape)
     with signals_taken(end_with(INTERRUPTED)):
         from beam_ros.launching.recording import record_live
 
-    return Means(partial(_record_live, record_live, plan.kind, folder / "logs"), _calibrate, _report)
+    record = partial(_record_live, record_live, plan.kind, folder / "logs")
+    return Means(record, _calibrate, _check, _report, _shape)
 
 
 def _record_live(
@@ -163,6 +172,26 @@ def _calibrate(bag: Path, rig: Rig, file: Path) -> int:
     fit, _ = calibrate_from_bags([bag], rig=rig)
     save_calibration(fit.calibration, file)
     return int(fit.calibration.provenance["n_points"])
+
+
+def _shape(
+    rig: Rig, order: MoveOrder, model: Path, rehearsal: Path | None, folder: Path, report: Report
+) -> str:
+    from beam_ros.excitation.shaping import shape_for_rig
+    from beam_ros.reporting.shaping import known_model, write_move
+
+    known = known_model(model, rehearsal)
+    found = shape_for_rig(
+        rig,
+        order,
+        known.model,
+        curves=known.curves,
+        axis=known.axis,
+        progress=lambda phrase, share: report(share, phrase),
+    )
+    write_move(found, folder)
+    chosen = found.choice.chosen
+    return f"{chosen.move.name} in {chosen.move.duration_s:.3f} s, aim exceeded with {100 * chosen.probability:.1f} %"
 
 
 class Screen:

@@ -49,6 +49,7 @@ def run(arguments: argparse.Namespace) -> int:
         changes["recorder.path"] = str(arguments.record.resolve())
     with signals_taken(end_with(INTERRUPTED)):
         from beam_ros.launching.client import RigClient
+        from beam_ros.shell.other_hubs import reach
 
     with (
         tempfile.TemporaryDirectory(prefix="beam-rig-") as scratch,
@@ -81,7 +82,7 @@ def run(arguments: argparse.Namespace) -> int:
             print(f"{kind.value} rig up: {', '.join(executables)}; logs in {logs}")
             if client.hub_trouble:
                 print(f"hub {client.hub_trouble}")
-            print(f"{client.reach()}; Ctrl-C ends it", flush=True)
+            print(f"{reach()}; Ctrl-C ends it", flush=True)
             try:
                 while True:
                     nodes.check()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import math
-from datetime import datetime, timezone
 
 from beam_ros.bags.reading import Bag
 from beam_ros.bags.summary import BagInfo, summarise
@@ -33,10 +32,10 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _text(info: BagInfo) -> str:
-    start = datetime.fromtimestamp(info.start_ns * 1e-9, timezone.utc)
     lines = [
-        f"{info.path}: {info.message_count} messages in {info.duration_ns * 1e-9:.1f} s from "
-        f"{start:%Y-%m-%d %H:%M:%S} UTC ({info.storage})",
+        f"{info.path}: {info.message_count} messages in {info.duration_ns * 1e-9:.1f} s ({info.storage}), "
+        f"{info.apparatus.date(info.start_ns)}",
+        *([info.apparatus.sentence] if info.apparatus.is_simulated else []),
         "",
     ]
     width = max((len(topic.name) for topic in info.topics), default=0)

@@ -1,8 +1,9 @@
-"""Identify a continuous-time model from recorded bags.
+"""Identify a continuous-time model from recorded bags, or from files of columns.
 
 Prints the natural frequencies and damping ratios, beside the theory of the rig where the bag describes it; writes a
 self-contained report.html into the folder of --report, and model.json, poles.csv, figures/ and, where the bag has
-images, film.mp4 beside it. Several bags are one fit. Every flag is a parameter of the node `identifier`, too, and a
+images, film.mp4 beside it. Several bags are one fit. Of a CSV, MAT, NPZ, UFF or TDMS file, --input and --output name
+columns. Every flag is a parameter of the node `identifier`, too, and a
 rig file may set it.
 """
 
@@ -35,6 +36,7 @@ _METAVARS = {
     "estimator": "NAME",
     "validate": "BAG",
     "input": "TOPIC:FIELD",
+    "time": "COLUMN",
     "outputs": "TOPIC:FIELD",
     "signals": "FILE",
     "modes": "N",
@@ -48,7 +50,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "bag",
         nargs="+",
         metavar="BAG",
-        help="folder of the bag, or a single .mcap or .db3 file, here or by its URL; several are one fit",
+        help="folder of the bag, or a single .mcap or .db3 file, here or by its URL, or a file of columns; several "
+        "are one fit",
     )
     add_span(parser)
     add_options(parser, parameters())
@@ -115,6 +118,7 @@ def epilog() -> str:
 def run(arguments: argparse.Namespace) -> int:
     """Run the verb."""
     from beam_ident import AxisResult
+    from beam_ros.bags.apparatus import Apparatus
     from beam_ros.checks.bag_check import BagCheck, check_bag
     from beam_ros.offline.identification_summary import format_table
     from beam_ros.reporting.identification import format_files, identify_told
@@ -150,6 +154,10 @@ def run(arguments: argparse.Namespace) -> int:
         return 0
     for table in result.get("orders", ()):
         print(f"{table}\n")
+    sentence = Apparatus(result["apparatus"]).sentence
+    if sentence:
+        print(sentence)
+    print(result["verdict"]["text"])
     print(format_table(result))
     for name, score in result["scores"].items():
         deflection = score.get("deflection_fit_percent")

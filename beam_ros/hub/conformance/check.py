@@ -23,12 +23,15 @@ class Check:
         Raises ``ConformanceError`` where it does not.
     moves : bool
         Whether the axis moves.
+    needs_bench : bool
+        Whether the axis must be one that is not there, so that its sensors can be interfered with.
     """
 
     name: str
     expected: str
     run: Callable[[Dialogue], None]
     moves: bool = False
+    needs_bench: bool = False
 
 
 def require(is_so: bool, otherwise: str) -> None:

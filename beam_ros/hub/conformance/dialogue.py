@@ -26,6 +26,11 @@ MOVE_S = 30.0
 """Patience for what takes a move: homing from the end of a long axis [s]."""
 WATCHDOG_NS = 200_000_000
 """The silence that the checks ask the device to notice, where it can."""
+SAME = 1e-6
+"""Limits may differ by this share: a device may calculate with single precision."""
+STOP_RATE = 10.0
+"""Deceleration of the stop ramp that the checks ask for [travel/s^2]: from the speeds of their motions, at most 0.4
+travels a second, a ramp then lasts some tens of milliseconds, and takes at most 0.8 % of the travel."""
 
 _NUMBERS = {0, *(fault.number for fault in DEVICE_FAULTS)}
 _ONE_SAMPLE = np.zeros(1)
@@ -45,6 +50,27 @@ class DeviceLine(Protocol):
         """Return the steady time [ns]."""
 
 
+class Bench(Protocol):
+    """Hands on an axis that is not there: its sensors can be interfered with, and where its hub is, is known."""
+
+    @property
+    def true_position(self) -> float:
+        """Where the hub is, seen from its home [m]."""
+
+    @property
+    def max_following_error(self) -> float:
+        """How far the hub may be from its reference before the device stops it [m]."""
+
+    def hold_signals(self, **signals: bool) -> None:
+        """Let signals (fields of the plant port's ``Reading``) be on or off, and all others what is true."""
+
+    def lie(self, offset: float, scale: float) -> None:
+        """Let the encoder read ``scale`` times the position, and ``offset`` more [m]."""
+
+    def stick(self, *, is_stuck: bool) -> None:
+        """Let the hub stand still whatever is commanded, or move again."""
+
+
 @dataclass(frozen=True)
 class ClockExchange:
     """A device's answer to what its clock reads, with the middle of the exchange and its duration [ns]."""
@@ -61,18 +87,22 @@ class Dialogue:
     ----------
     line : DeviceLine
         To the device.
+    bench : Bench, optional
+        The axis behind the device, where it is not a real one.
 
     Attributes
     ----------
     identity, status : Identity, Status or None
         The newest of each.
     limits : DeviceLimits
-        What the checks ask the device to obey: the widest, with a watchdog that does not take long.
+        What the checks ask the device to obey: the widest, with a watchdog that does not take long, and a stop
+        ramp that lasts long enough to be measured.
     oddities : dict of str to str
         What was seen that must never be: by the name of the check, in words.
     """
 
-    def __init__(self, line: DeviceLine) -> None:
+    def __init__(self, line: DeviceLine, bench: Bench | None = None) -> None:
+        self.bench = bench
         self.identity: protocol.Identity | None = None
         self.status: protocol.Status | None = None
         self.limits = protocol.DeviceLimits()
@@ -110,6 +140,10 @@ class Dialogue:
     def mark(self) -> int:
         """Return a place in the stream of messages: what comes now comes after it."""
         return len(self._inbox)
+
+    def since(self, mark: int) -> list[protocol.Message]:
+        """Return what came after a mark."""
+        return self._inbox[mark:]
 
     def until(
         self,
@@ -155,7 +189,12 @@ class Dialogue:
                 f"Identity names version {identity.version} for this connection: expected {protocol.VERSION}"
             )
         self.until(_only(protocol.Status), "Status after Identity")
-        self.limits = replace(identity.widest, watchdog_ns=min(identity.widest.watchdog_ns, WATCHDOG_NS))
+        widest = identity.widest
+        self.limits = replace(
+            widest,
+            watchdog_ns=min(widest.watchdog_ns, WATCHDOG_NS),
+            stop_deceleration=min(widest.stop_deceleration, STOP_RATE * widest.travel),
+        )
         return identity
 
     def leave(self) -> None:
@@ -170,6 +209,16 @@ class Dialogue:
             lambda m: m.limits if isinstance(m, protocol.LimitsReply) and m.number == number else None,
             "LimitsReply",
         )
+
+    def obey(self, limits: protocol.DeviceLimits) -> None:
+        """Hand limits over that the device must take."""
+        answer = self.set_limits(limits)
+        for name, wanted in vars(limits).items():
+            obeyed = getattr(answer, name)
+            if not abs(obeyed - wanted) <= SAME * wanted:
+                raise ConformanceError(
+                    f"{name} {obeyed:g} in LimitsReply: expected {wanted:g}{self._standing()}"
+                )
 
     def ask(self, kind: RequestKind, number: int | None = None) -> protocol.RequestReply:
         """Make a request, and return how it ended."""
@@ -190,23 +239,24 @@ class Dialogue:
             raise ConformanceError(f"the request {kind} failed: {reply.text!r}{self._standing()}")
 
     def prepare(self) -> protocol.Identity:
-        """Open a session with an axis that rests, has limits, and is homed."""
+        """Open a session with an axis that rests and has limits; nothing moves but what moved before."""
         identity = self.open_session()
         self.wait_for_rest()
-        obeyed = self.set_limits(self.limits)
-        if obeyed == protocol.DeviceLimits():
-            raise ConformanceError("SetLimits with what the device says it can was not taken")
+        self.obey(self.limits)
         if self.newest_status().state == "fault":
             self.must("clear_fault")
-        if self.newest_status().state == "identified":
+        return identity
+
+    def go_home(self, within: float = 0.0) -> protocol.Identity:
+        """Open a session with a homed axis, closer to home than a part of the travel."""
+        identity = self.prepare()
+        if self.newest_status().state == "identified" or abs(self.position()) > within * self.limits.travel:
             self.must("home")
         return identity
 
-    def enable(self) -> protocol.Identity:
-        """Open a session with an enabled axis near home."""
-        identity = self.prepare()
-        if abs(self.position()) > 0.02 * self.limits.travel:
-            self.must("home")
+    def enable(self, within: float = 0.02) -> protocol.Identity:
+        """Open a session with an enabled axis, closer to home than a part of the travel."""
+        identity = self.go_home(within)
         self.must("enable")
         return identity
 

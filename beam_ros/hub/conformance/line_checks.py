@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import random
+from dataclasses import replace
 
 import numpy as np
 
 from beam_ros.hub.conformance.check import Check, require
 from beam_ros.hub.conformance.dialogue import ANSWER_S, Dialogue
+from beam_ros.hub.conformance.misfits import misfits, valid_frames
 from beam_ros.hub.line import protocol
-from beam_ros.hub.line.framing import MAX_PAYLOAD, cobs_encode, encode_frame
+from beam_ros.hub.line.framing import MAX_PAYLOAD, encode_frame
 
 CLOCK_PPM = 1000
 """Beyond this a device's second is no second; 100 ppm are usual."""
+SAID_S = 0.02
+"""How often a frame is said again where nothing else is said [s]."""
 LATE_NS = 20_000_000
 """By how much a device may be behind its own ticks [ns]."""
 
@@ -49,22 +53,25 @@ def _flipped_bits(host: Dialogue) -> None:
 
 def _odd_bodies(host: Dialogue) -> None:
     host.prepare()
+    before = host.fresh_status()
     in_force = host.set_limits(host.limits)
-    for message in (
-        protocol.SetLimits(host.next_number(), host.limits),
-        protocol.ClockQuery(host.next_number()),
-        protocol.Request(host.next_number(), "clear_fault"),
-        protocol.Arm(host.next_number(), 0, 10),
-    ):
-        payload = protocol.encode_payload(message)
-        host.say_bytes(encode_frame(payload[:-1]) + encode_frame(payload + b"\1"))
-    host.say_bytes(encode_frame(b"\x04\1\0\5") + encode_frame(b"\x06" * 8) + encode_frame(b"\x07" + bytes(6)))
-    for kind in (0x00, 0x0A, 0x7F, 0x82, 0x86, 0xFF):
-        host.say_bytes(encode_frame(bytes((kind, 1, 2, 3))))
-    came = host.listen(0.1)
-    answers = [m for m in came if not isinstance(m, (protocol.Telemetry, protocol.Status))]
-    require(not answers, f"it answers {answers[0] if answers else ''} to frames that fit no type")
+    for name, frame in misfits(replace(host.limits, travel=host.limits.travel / 2)).items():
+        mark = host.mark()
+        host.say_bytes(frame)
+        _answers(host, name)
+        answers = [
+            m
+            for m in host.since(mark)
+            if not isinstance(m, (protocol.Telemetry, protocol.Status, protocol.ClockReply))
+        ]
+        require(not answers, f"it answers {answers[0] if answers else ''} to {name}")
     require(host.set_limits(host.limits) == in_force, "frames that fit no type changed the limits")
+    after = host.fresh_status()
+    for field in ("state", "setpoint_number", "setpoints_refused", "sequence_number"):
+        require(
+            getattr(after, field) == getattr(before, field),
+            f"frames that fit no type changed {field} in Status",
+        )
 
 
 def _long_frames(host: Dialogue) -> None:
@@ -103,18 +110,27 @@ def _pieces(host: Dialogue) -> None:
     host.until(all_answered, "ClockReply to each of five frames in one piece")
 
 
-def _silent_frames(host: Dialogue) -> None:
-    """Frames that are not valid must not keep an axis alive."""
+def _not_fed(host: Dialogue) -> None:
+    """Frames that are not valid must not keep an axis alive, whatever is wrong with them."""
     host.prepare()
-    before = host.fresh_status()
-    watchdog_s = host.limits.watchdog_ns * 1e-9
-    wrong = bytearray(protocol.encode(protocol.Heartbeat()))
-    wrong[-2] ^= 1
-    for _ in range(round((watchdog_s + 0.1) / 0.02)):
-        host.say_bytes(bytes(wrong) + b"\0" + cobs_encode(b"junk") + b"\0")
-        host.listen(0.02, alive=False)
-    after = host.fresh_status()
-    require(after.silences > before.silences, "frames that are not valid fed the watchdog")
+    for name, frame in misfits(host.limits).items():
+        before = host.fresh_status()
+        for _ in range(round((host.limits.watchdog_ns * 1e-9 + 0.1) / SAID_S)):
+            host.say_bytes(frame)
+            host.listen(SAID_S, alive=False)
+        silences = host.newest_status().silences
+        require(silences == (before.silences + 1) & 0xFFFF, f"{name} fed the watchdog")
+
+
+def _fed(host: Dialogue) -> None:
+    host.prepare()
+    number = host.next_number()
+    for name, frame in valid_frames(host.limits, number).items():
+        before = host.fresh_status()
+        for _ in range(round(2e-9 * host.limits.watchdog_ns / SAID_S)):
+            host.say_bytes(frame)
+            host.listen(SAID_S, alive=False)
+        require(host.newest_status().silences == before.silences, f"{name} did not feed the watchdog")
 
 
 def _clock(host: Dialogue) -> None:
@@ -176,8 +192,11 @@ def _telemetry(host: Dialogue) -> None:
 def _telemetry_ends(host: Dialogue) -> None:
     host.prepare()
     host.say(protocol.Heartbeat())
-    host.listen(1.0, alive=False)
-    host.listen(0.2, alive=False)
+    host.listen(0.8, alive=False)
+    came = host.listen(0.15, alive=False)
+    pushed = sum(isinstance(m, protocol.Telemetry) for m in came)
+    require(pushed > 0, "no Telemetry 0.8 s after the host was heard: expected it for a second")
+    host.listen(0.25, alive=False)
     came = host.listen(0.5, alive=False)
     pushed = sum(isinstance(m, protocol.Telemetry) for m in came)
     require(pushed == 0, f"{pushed} Telemetry after more than a second of silence: expected none")
@@ -195,10 +214,15 @@ CHECKS = (
     Check("odd_bodies", "drops frames of unknown types, and with bodies that do not fit", _odd_bodies),
     Check("long_frames", "takes 2048 bytes, drops more, and goes on", _long_frames),
     Check("pieces", "takes frames byte by byte, and several in one piece", _pieces),
-    Check("watchdog_not_fed", "counts a silence although frames come that are not valid", _silent_frames),
+    Check(
+        "watchdog_not_fed", "counts a silence although frames come that do not fit, in every way", _not_fed
+    ),
+    Check("watchdog_fed", "counts no silence while valid frames of any one type come", _fed),
     Check("clock", "answers ClockQuery with a clock that never goes back", _clock),
     Check("clock_rate", "has seconds that are seconds", _clock_rate),
     Check("clock_and_ticks", "begins tick k at k periods by its own clock", _clock_and_ticks),
     Check("telemetry", "sends every tick once, in batches, each with a Status", _telemetry),
-    Check("telemetry_ends", "pushes nothing when the host has been silent for a second", _telemetry_ends),
+    Check(
+        "telemetry_ends", "pushes until the host has been silent for a second, and no longer", _telemetry_ends
+    ),
 )

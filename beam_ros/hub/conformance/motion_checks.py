@@ -9,14 +9,17 @@ import numpy as np
 from beam_ros.hub.conformance import motions
 from beam_ros.hub.conformance.check import Check, require
 from beam_ros.hub.conformance.dialogue import Dialogue
+from beam_ros.hub.conformance.kinematics import require_followed, require_ramp
 from beam_ros.hub.conformance.playing import play
 from beam_ros.hub.faults import fault
 from beam_ros.hub.line import protocol
 
+REMEMBERED = 16
+"""Requests that a device knows again."""
 LATE_S = 0.03
 """By how much a watchdog may be late: its tick, and the batch that its Status may wait for [s]."""
-SLACK = 1e-3
-"""Relative slack of measured decelerations."""
+EDGE = 1e-3
+"""What lies this share within a limit is followed, what lies this share beyond it is not."""
 
 
 def stopped_by(status: protocol.Status, *names: str) -> None:
@@ -29,29 +32,8 @@ def stopped_by(status: protocol.Status, *names: str) -> None:
     )
 
 
-def require_ramp(host: Dialogue, first: int, last: int) -> None:
-    """Require that from tick ``first`` to ``last``, where the axis stopped, it kept its deceleration."""
-    identity, period = host.identity, host.period_s()
-    assert identity is not None
-    # The last batch may still be on its way; it comes as long as the silence is young.
-    ticks = host.ticks(first, max(last - first, 1), alive=False)
-    mode = identity.command_mode
-    allowed = host.limits.stop_deceleration * (1 + SLACK)
-    if mode == "acceleration":
-        rates = ticks.applied
-    elif mode == "velocity":
-        rates = np.diff(ticks.applied) / period
-    elif mode == "position":
-        rates = np.diff(ticks.applied, n=2) / period**2
-    else:
-        return  # Under a force only the rest at its end is certain.
-    if len(rates):
-        worst = float(np.abs(rates).max())
-        require(worst <= allowed, f"{worst:.6g} m/s^2 while stopping: expected at most {allowed:.6g}")
-
-
 def _homing(host: Dialogue) -> None:
-    identity = host.prepare()
+    identity = host.go_home()
     number = host.next_number()
     host.say(protocol.Request(number, "home"))
     phase = host.until(
@@ -83,18 +65,24 @@ def _enabling(host: Dialogue) -> None:
 
 
 def _repeated_request(host: Dialogue) -> None:
-    host.enable()
+    host.go_home(within=0.02)
+    enabling = host.next_number()
+    require(host.ask("enable", enabling).phase == "success", "enable failed")
     number = host.next_number()
     host.say(protocol.Request(number, "disable"))
     first = host.ask("disable", number)
-    enabling = host.next_number()
-    require(host.ask("enable", enabling).phase == "success", "enable failed")
+    require(host.ask("enable").phase == "success", "enable failed")
     again = host.ask("disable", number)
     require(again == first, f"the answer changed from {first} to {again}")
     require(host.fresh_status().state == "enabled", "a repeated request was done again")
     host.must("disable")
+    for _ in range(REMEMBERED - 4):
+        host.must("clear_fault")
     require(host.ask("enable", enabling).phase == "success", "a repeated request has another answer")
-    require(host.fresh_status().state != "enabled", "a repeated enable enabled the axis again")
+    require(
+        host.fresh_status().state != "enabled",
+        f"an enable that was repeated after {REMEMBERED - 1} others enabled the axis again",
+    )
 
 
 def _no_fault(host: Dialogue) -> None:
@@ -127,15 +115,25 @@ def _setpoints(host: Dialogue) -> None:
 
 
 def _refused_setpoints(host: Dialogue) -> None:
-    identity = host.enable()
-    limit = motions.command_limit(identity, host.limits)
+    identity = host.go_home(within=0.02)
+    gentle = abs(motions.setpoint(identity, host.position()))
+    host.obey(motions.with_command_limit(identity, host.limits, gentle))
+    host.must("enable")
     refused = host.fresh_status().setpoints_refused
-    for value in (1.01 * limit, -1.01 * limit, float("nan"), float("inf"), 1e300):
+    beyond = gentle * (1 + EDGE)
+    for value in (beyond, -beyond, float("nan"), float("inf"), 1e300):
         host.say(protocol.Setpoint(host.next_number(), value))
         status = host.fresh_status()
         refused = (refused + 1) & 0xFFFF
         require(status.setpoints_refused == refused, f"a set-point of {value:g} was not counted as refused")
         require(status.activity == "hold", f"a set-point of {value:g} made the axis {status.activity}")
+    within = gentle * (1 - EDGE)
+    host.say(protocol.Setpoint(host.next_number(), -within if host.position() > 0.0 else within))
+    status = host.fresh_status()
+    require(
+        (status.setpoints_refused, status.activity) == (refused, "setpoint"),
+        f"a set-point of {within:g} was refused: expected it followed up to {gentle:g}",
+    )
     host.must("disable")
     host.say(protocol.Setpoint(host.next_number(), 0.0))
     status = host.fresh_status()
@@ -147,6 +145,8 @@ def _old_setpoint(host: Dialogue) -> None:
     identity = host.enable()
     value = motions.setpoint(identity, host.position())
     number = host.next_number()
+    host.say(protocol.Setpoint(number, value))
+    told_ns = host.clock().reply.received_ns
     for _ in range(round((host.limits.watchdog_ns * 1e-9 + 0.2) / 0.02)):
         host.say(protocol.Setpoint(number, value))
         host.listen(0.02)
@@ -158,6 +158,10 @@ def _old_setpoint(host: Dialogue) -> None:
     status = host.wait_for_rest(seconds=0.1)
     require(status.state == "homed", f"the axis is {status.state}: expected homed")
     stopped_by(status, "setpoint_old")
+    told = told_ns // identity.period_ns
+    begun = require_ramp(host, told, status.tick, is_begun=False)
+    if begun > told:
+        _require_in_time(host, begun * identity.period_ns - told_ns)
 
 
 def _silence_at_rest(host: Dialogue) -> None:
@@ -165,7 +169,7 @@ def _silence_at_rest(host: Dialogue) -> None:
     for _ in range(2):
         before = host.fresh_status()
         fed_ns = host.clock().reply.received_ns
-        host.listen(host.limits.watchdog_ns * 1e-9 + 3 * LATE_S, alive=False)
+        host.listen(3e-9 * host.limits.watchdog_ns + 3 * LATE_S, alive=False)
         status = host.newest_status()
         require(
             status.silences == (before.silences + 1) & 0xFFFF,
@@ -179,7 +183,7 @@ def _require_in_time(host: Dialogue, silent_ns: int) -> None:
     watchdog_ns, period_s = host.limits.watchdog_ns, host.period_s()
     require(
         watchdog_ns - 2e9 * period_s <= silent_ns <= watchdog_ns + 1e9 * (LATE_S + 2 * period_s),
-        f"the silence was noticed after {silent_ns * 1e-9:.4f} s: expected {watchdog_ns * 1e-9:g} s",
+        f"the axis acted {silent_ns * 1e-9:.4f} s after the host's last word: expected {watchdog_ns * 1e-9:g} s",
     )
 
 
@@ -196,12 +200,21 @@ def _fall_silent(host: Dialogue) -> None:
     require_ramp(host, status.silence_tick, status.tick)
     require(status.state != "fault", "silence ends in fault: expected a disabled axis")
     host.listen(0.1)
-    require(host.fresh_status().state == status.state, "the axis changed its state when the host was back")
+    after = host.fresh_status()
+    require(after.state == status.state, "the axis changed its state when the host was back")
+    stopped_by(after, "host_silent")
 
 
 def _silence_while_holding(host: Dialogue) -> None:
     host.enable()
     _fall_silent(host)
+    host.must("enable")
+    status = host.fresh_status()
+    require(
+        (status.fault_number, status.reason) == (0, ""),
+        f"fault {status.fault_number} ({status.reason!r}) of an enabled axis: expected the last stop's forgotten",
+    )
+    host.must("disable")
 
 
 def _silence_while_following(host: Dialogue) -> None:
@@ -218,13 +231,15 @@ def _silence_while_following(host: Dialogue) -> None:
     require(status.state == "homed", f"the axis is {status.state} after a silence: expected homed")
     period_ns = identity.period_ns
     due = (fed_ns + host.limits.watchdog_ns) // period_ns
-    ramp_s = motions.SHARE_OF_LIMITS * host.limits.max_speed / host.limits.stop_deceleration
+    # It can be no faster than its set-points make it in the time that they have.
+    fastest = min(motions.SHARE_OF_LIMITS * host.limits.max_speed, host.limits.travel)
+    ramp_s = fastest / host.limits.stop_deceleration
     late_s = (status.tick - due) * period_ns * 1e-9
     require(
         late_s <= LATE_S + ramp_s,
         f"it rests {late_s:.4f} s after the watchdog's time: expected {ramp_s:.4f} s",
     )
-    require_ramp(host, due, status.tick)
+    require_ramp(host, due - 2, status.tick, is_begun=False)
 
 
 def _silence_while_running(host: Dialogue) -> None:
@@ -241,9 +256,9 @@ def _silence_while_running(host: Dialogue) -> None:
     )
     require(status.sequence_reason != "", "it gives no reason why the sequence ended early")
     require(status.state == "homed", f"the axis is {status.state} after a silence: expected homed")
-    stopped = status.silence_tick if status.silence_tick > played.start_tick else played.start_tick
     if status.fault_number == fault("host_silent").number:
-        require_ramp(host, stopped, status.tick)
+        require_ramp(host, status.silence_tick, status.tick)
+        require_followed(host, played.start_tick, status.tick)
 
 
 def _silence_while_homing(host: Dialogue) -> None:
@@ -251,7 +266,7 @@ def _silence_while_homing(host: Dialogue) -> None:
     play(host, motions.shift(identity, round(0.4 / host.period_s()), host.position()))
     host.must("disable")
     slow = replace(host.limits, homing_speed=host.limits.homing_speed / 20)
-    host.set_limits(slow)
+    host.obey(slow)
     number = host.next_number()
     host.say(protocol.Request(number, "home"))
     host.until(

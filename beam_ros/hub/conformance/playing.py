@@ -33,16 +33,22 @@ class Played:
 
 
 def arm(
-    host: Dialogue, n_samples: int, start_tick: int | None = None, number: int | None = None
+    host: Dialogue,
+    n_samples: int,
+    start_tick: int | None = None,
+    number: int | None = None,
+    *,
+    is_on_tick: bool = False,
 ) -> protocol.ArmReply:
-    """Announce a sequence, and return the answer."""
+    """Announce a sequence, and return the answer; ``is_on_tick``: for the tick's own time, not one before it."""
     identity = host.identity
     assert identity is not None
     number = host.next_number() if number is None else number
     if start_tick is None:
         start_tick = start_in(host, AHEAD_S)
     # The first tick at or after the start is the sequence's.
-    start_ns = max(start_tick * identity.period_ns - identity.period_ns // 3, 0)
+    early_ns = 0 if is_on_tick else identity.period_ns // 3
+    start_ns = max(start_tick * identity.period_ns - early_ns, 0)
     host.say(protocol.Arm(number, start_ns, n_samples))
     return host.until(
         lambda m: m if isinstance(m, protocol.ArmReply) and m.number == number else None, "ArmReply"

@@ -7,14 +7,11 @@ import math
 from collections.abc import Callable
 
 from beam_ros.hub.conformance.check import Check, require
-from beam_ros.hub.conformance.dialogue import Dialogue
+from beam_ros.hub.conformance.dialogue import SAME, Dialogue
 from beam_ros.hub.contract import RequestKind
 from beam_ros.hub.line import protocol
 from beam_ros.hub.line.framing import encode_frame
 from beam_ros.hub.parameters import MAX_BATCH_TICKS
-
-SAME = 1e-6
-"""Limits may differ by this share: a device may calculate with single precision."""
 
 
 def _handshake(host: Dialogue) -> None:
@@ -85,7 +82,8 @@ def _no_session(host: Dialogue) -> None:
 def _new_session(host: Dialogue) -> None:
     host.prepare()
     host.say(protocol.Setpoint(host.next_number(), 0.0))
-    host.listen(0.05)
+    number = host.next_number()
+    require(host.ask("clear_fault", number).phase == "success", "clear_fault without a fault failed")
     boot_id = host.newest_status().boot_id
     host.open_session()
     status = host.newest_status()
@@ -93,6 +91,9 @@ def _new_session(host: Dialogue) -> None:
     require(status.setpoint_number == 0, f"set-point number {status.setpoint_number}: expected it forgotten")
     require(status.sequence_number == 0, f"sequence number {status.sequence_number}: expected it forgotten")
     require(status.silences == 0, f"{status.silences} silences: expected those of this session")
+    require(status.silence_tick == 0, f"tick {status.silence_tick} of the last silence: expected 0 for none")
+    # Without limits it must fail; the answer of the earlier session was a success.
+    require(host.ask("enable", number).phase == "failure", "a request of an earlier session was remembered")
 
 
 def _no_limits(host: Dialogue) -> None:
@@ -113,8 +114,7 @@ def _limits(host: Dialogue) -> None:
     host.open_session()
     host.wait_for_rest()
     for share in (1.0, 0.5):
-        wanted = _scaled(host.limits, share)
-        _require_same(host.set_limits(wanted), wanted)
+        host.obey(_scaled(host.limits, share))
 
 
 def _wide_limits(host: Dialogue) -> None:
@@ -153,8 +153,18 @@ def _limits_while_enabled(host: Dialogue) -> None:
     _require_same(in_force, host.limits)
     require(host.fresh_status().state == "enabled", "SetLimits disabled the axis")
     host.must("disable")
-    wanted = _scaled(host.limits, 0.5)
-    _require_same(host.set_limits(wanted), wanted)
+    mark, number = host.mark(), host.next_number()
+    host.say(
+        protocol.Request(host.next_number(), "home"), protocol.SetLimits(number, _scaled(host.limits, 0.5))
+    )
+    reply = host.until(
+        lambda m: m if isinstance(m, protocol.LimitsReply) and m.number == number else None,
+        "LimitsReply",
+        since=mark,
+    )
+    _require_same(reply.limits, host.limits)
+    host.must("stop")
+    host.obey(_scaled(host.limits, 0.5))
 
 
 CHECKS = (
@@ -169,7 +179,7 @@ CHECKS = (
     ),
     Check(
         "new_session",
-        "forgets set-points, sequences and silences at Hello, and keeps its boot id",
+        "forgets set-points, requests, sequences and silences at Hello, and keeps its boot id",
         _new_session,
     ),
     Check("no_limits", "refuses enable and home before SetLimits, and answers zeros", _no_limits),
@@ -180,5 +190,10 @@ CHECKS = (
         "changes nothing for limits that are not finite or not positive",
         _impossible_limits,
     ),
-    Check("limits_while_enabled", "changes no limits while it is enabled", _limits_while_enabled, moves=True),
+    Check(
+        "limits_while_enabled",
+        "changes no limits while it is enabled or moves",
+        _limits_while_enabled,
+        moves=True,
+    ),
 )

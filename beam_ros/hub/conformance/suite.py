@@ -6,9 +6,17 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from beam_ros.hub.conformance import line_checks, motion_checks, sequence_checks, session_checks
+from beam_ros.hub.conformance import (
+    bench_checks,
+    limit_checks,
+    line_checks,
+    motion_checks,
+    sequence_checks,
+    session_checks,
+    state_checks,
+)
 from beam_ros.hub.conformance.check import Check
-from beam_ros.hub.conformance.dialogue import DeviceLine, Dialogue
+from beam_ros.hub.conformance.dialogue import Bench, DeviceLine, Dialogue
 from beam_ros.hub.errors import ConformanceError
 
 ALWAYS: dict[str, str] = {
@@ -26,6 +34,9 @@ CHECKS: tuple[Check, ...] = (
     *line_checks.CHECKS,
     *motion_checks.CHECKS,
     *sequence_checks.CHECKS,
+    *state_checks.CHECKS,
+    *limit_checks.CHECKS,
+    *bench_checks.CHECKS,
 )
 
 
@@ -38,9 +49,9 @@ class CheckResult:
     name, expected : str
         Of the check.
     outcome : {"passed", "failed", "skipped"}
-        skipped: it would have moved the axis.
+        skipped: it would have moved the axis, or wants to interfere with its sensors.
     reason : str
-        Why it failed.
+        Why it failed or was skipped.
     """
 
     name: str
@@ -54,6 +65,7 @@ def run_checks(
     *,
     moves: bool,
     names: Sequence[str] = (),
+    bench: Bench | None = None,
     progress: Callable[[Check], None] | None = None,
 ) -> Iterator[CheckResult]:
     """Do the checks one after the other, and leave the axis stopped.
@@ -66,6 +78,8 @@ def run_checks(
         Whether the axis may move.
     names : sequence of str, optional
         Of the checks to do; by default all.
+    bench : Bench, optional
+        The axis, where it is not a real one; without it the checks that interfere with its sensors are skipped.
     progress : callable, optional
         Is told which check begins.
 
@@ -74,13 +88,18 @@ def run_checks(
     HubConnectionError
         The line was lost.
     """
-    host = Dialogue(line)
+    host = Dialogue(line, bench)
     try:
         for check in CHECKS:
             if names and check.name not in names:
                 continue
             if check.moves and not moves:
                 yield CheckResult(check.name, check.expected, "skipped", "it moves the axis")
+                continue
+            if check.needs_bench and bench is None:
+                yield CheckResult(
+                    check.name, check.expected, "skipped", "it interferes with the axis's sensors"
+                )
                 continue
             if progress is not None:
                 progress(check)

@@ -6,15 +6,17 @@ It holds a ``VirtualAxis`` with a small buffer and answers by the line protocol 
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 from collections import OrderedDict
 from collections.abc import Callable
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from beam_ros.hub.contract import Outcome
+from beam_ros.hub.emulated.injected_faults import InjectedFault
+from beam_ros.hub.emulated.lies import Lies
 from beam_ros.hub.errors import HubParameterError, HubProtocolError
-from beam_ros.hub.faults import fault
+from beam_ros.hub.faults import fault, fault_of
 from beam_ros.hub.line import protocol
 from beam_ros.hub.line.framing import FrameDecoder
 from beam_ros.hub.parameters import AxisParameters, SimulatedDevice
@@ -36,6 +38,37 @@ _SEQUENCE_STATES: dict[str, protocol.DeviceSequenceState] = {
 }
 
 
+@dataclass
+class _Session:
+    """What a session leaves behind; the next one begins with none of it.
+
+    Attributes
+    ----------
+    silences, told_silences : int
+        Of the axis when it began, and those that the host has heard of.
+    has_limits : bool
+        Whether the host has set what the axis obeys.
+    replies : mapping of int to RequestReply
+        To the newest requests, so that one that comes again is answered again.
+    setpoint_number : int
+        Of the newest set-point.
+    arm_reply : ArmReply or None
+        To the newest announcement of a sequence.
+    sequence_number, sequence_state, sequence_reason
+        Of the newest sequence.
+    """
+
+    silences: int = 0
+    told_silences: int = 0
+    has_limits: bool = False
+    replies: OrderedDict[int, protocol.RequestReply] = field(default_factory=OrderedDict)
+    setpoint_number: int = 0
+    arm_reply: protocol.ArmReply | None = None
+    sequence_number: int = 0
+    sequence_state: protocol.DeviceSequenceState = "none"
+    sequence_reason: str = ""
+
+
 class EmulatedFirmware:
     """The firmware of a motion controller that speaks the line protocol.
 
@@ -54,9 +87,8 @@ class EmulatedFirmware:
 
     Attributes
     ----------
-    clock_step_ns, clock_wrap_ns : int
-        What a broken clock adds to every time that it names, and the time at which it begins anew, 0 for never
-        [ns]; the axis itself goes on undisturbed.
+    lies : Lies
+        What it says and is not so; the axis itself goes on undisturbed.
     """
 
     def __init__(
@@ -79,17 +111,9 @@ class EmulatedFirmware:
         self._now_ns = device.clock_start_ns
         self._identified_ns = -IDENTIFY_INTERVAL_NS
         self._ticks = TickQueue(parameters.batch_ticks)
-        self._has_limits = False
-        self._silences = self._told_silences = 0
-        self._replies: OrderedDict[int, protocol.RequestReply] = OrderedDict()
-        self._setpoint_number = 0
+        self._session = _Session()
         self._setpoints_refused = 0
-        self._arm_reply: protocol.ArmReply | None = None
-        self._sequence_number = 0
-        self._sequence_state: protocol.DeviceSequenceState = "none"
-        self._sequence_reason = ""
-        self.clock_step_ns = 0
-        self.clock_wrap_ns = 0
+        self.lies = Lies()
         self._handlers: dict[type, Callable[..., None]] = {
             protocol.Hello: self._on_hello,
             protocol.Heartbeat: lambda _: None,
@@ -125,6 +149,14 @@ class EmulatedFirmware:
         self._output.clear()
         return output
 
+    def disturb(self, injected: InjectedFault, *, begins: bool) -> None:
+        """Let a fault of the clock or the firmware begin or end."""
+        if injected.kind != "trip":
+            self.lies.change(injected, begins=begins)
+            return
+        cause = fault_of(round(injected.amounts["number"]))
+        self.axis.trip(cause, cause.sentence)
+
     # Messages -----------------------------------------------------------------------------------------
 
     def _take(self, message: protocol.Message) -> None:
@@ -147,14 +179,7 @@ class EmulatedFirmware:
         speaks = hello.lowest_version <= protocol.VERSION <= hello.highest_version
         self.axis.emergency_stop(fault("session_opened"), "a host opened a new session")
         self.axis.take_events()  # What became of an earlier session's sequence is nobody's news.
-        self._has_limits = False
-        self._silences = self._told_silences = self.axis.silences
-        self._replies.clear()
-        self._arm_reply = None
-        self._setpoint_number = 0
-        self._sequence_number = 0
-        self._sequence_state = "none"
-        self._sequence_reason = ""
+        self._session = _Session(silences=self.axis.silences, told_silences=self.axis.silences)
         self._ticks.clear()
         self._is_in_session = speaks
         self._send(self._identity(protocol.VERSION if speaks else 0))
@@ -183,70 +208,68 @@ class EmulatedFirmware:
             # What no axis can have changes nothing; the host reads it from the answer.
             with contextlib.suppress(HubParameterError):
                 axis.obey(message.limits.narrowed(self._parameters))
-                self._has_limits = True
-        obeyed = protocol.DeviceLimits.of(axis.parameters) if self._has_limits else protocol.DeviceLimits()
+                self._session.has_limits = True
+        obeyed = (
+            protocol.DeviceLimits.of(axis.parameters) if self._session.has_limits else protocol.DeviceLimits()
+        )
         self._send(protocol.LimitsReply(message.number, obeyed))
 
     def _on_clock_query(self, query: protocol.ClockQuery) -> None:
-        told_ns = self._told_ns(self._now_ns)
+        told_ns = self.lies.told_ns(self._now_ns)
         self._send(protocol.ClockReply(query.number, told_ns, told_ns))
 
-    def _told_ns(self, device_ns: int) -> int:
-        """Return the time [ns] that the device names for one of its own."""
-        told_ns = max(0, device_ns + self.clock_step_ns)
-        return told_ns % self.clock_wrap_ns if self.clock_wrap_ns else told_ns
-
     def _told_tick(self, tick: int) -> int:
-        return self._told_ns(tick * self._parameters.period_ns) // self._parameters.period_ns
+        return self.lies.told_tick(tick, self._parameters.period_ns)
 
     def _on_request(self, request: protocol.Request) -> None:
-        known = self._replies.get(request.number)
+        if self.lies.ignores_stops and request.kind in ("stop", "disable"):
+            if self.lies.stop_answer is not None:
+                self._send(protocol.RequestReply(request.number, self.lies.stop_answer, ""))
+            return
+        known = self._session.replies.get(request.number)
         if known is not None:
             self._send(known)
             return
-        if request.kind in ("enable", "home") and not self._has_limits:
+        if request.kind in ("enable", "home") and not self._session.has_limits:
             text = f"cannot {request.kind}: the axis has no limits; set them first"
             self._remember(protocol.RequestReply(request.number, "failure", text))
-            self._send(self._replies[request.number])
+            self._send(self._session.replies[request.number])
             return
         self._remember(protocol.RequestReply(request.number, "pending", ""))
         self.axis.request(request.number, request.kind)
         self._note_changes()
-        reply = self._replies[request.number]
+        reply = self._session.replies[request.number]
         if reply.phase == "pending":
             self._send(reply)
 
     def _remember(self, reply: protocol.RequestReply) -> None:
-        self._replies[reply.number] = reply
-        while len(self._replies) > REMEMBERED_REQUESTS:
-            self._replies.popitem(last=False)
+        self._session.replies[reply.number] = reply
+        while len(self._session.replies) > REMEMBERED_REQUESTS:
+            self._session.replies.popitem(last=False)
 
     def _on_setpoint(self, setpoint: protocol.Setpoint) -> None:
-        if setpoint.number == self._setpoint_number:
+        if setpoint.number == self._session.setpoint_number:
             return
-        self._setpoint_number = setpoint.number
+        self._session.setpoint_number = setpoint.number
         if not self.axis.setpoint(setpoint.value).success:
             self._setpoints_refused = (self._setpoints_refused + 1) & 0xFFFF
             self._send_status()
 
     def _on_arm(self, arm: protocol.Arm) -> None:
-        if self._arm_reply is None or self._arm_reply.number != arm.number:
-            ahead_ns = arm.start_ns - self._told_ns(self._now_ns)
-            if self.clock_wrap_ns:
-                # The nearest time of that name.
-                ahead_ns = (ahead_ns + self.clock_wrap_ns // 2) % self.clock_wrap_ns - self.clock_wrap_ns // 2
+        if self._session.arm_reply is None or self._session.arm_reply.number != arm.number:
+            ahead_ns = self.lies.ahead_ns(arm.start_ns, self._now_ns)
             outcome = self.axis.arm(self._now_ns + ahead_ns, arm.n_samples)
-            self._arm_reply = protocol.ArmReply(arm.number, outcome.success, outcome.message)
+            self._session.arm_reply = protocol.ArmReply(arm.number, outcome.success, outcome.message)
             if outcome.success:
-                self._sequence_number = arm.number
-                self._sequence_state = "armed"
-                self._sequence_reason = ""
-        self._send(self._arm_reply)
+                self._session.sequence_number = arm.number
+                self._session.sequence_state = "armed"
+                self._session.sequence_reason = ""
+        self._send(self._session.arm_reply)
         self._send_status()
 
     def _on_samples(self, samples: protocol.Samples) -> None:
         """Take what continues the sequence; the status tells the host what is still missing."""
-        if samples.number == self._sequence_number and self.axis.has_sequence:
+        if samples.number == self._session.sequence_number and self.axis.has_sequence:
             known = self.axis.n_received - samples.first
             if 0 <= known < len(samples.values):
                 room = samples.values[known : known + self.axis.buffer_free]
@@ -264,15 +287,15 @@ class EmulatedFirmware:
         events = self.axis.take_events()
         for event in events:
             if event.kind in _SEQUENCE_STATES:
-                self._sequence_state = _SEQUENCE_STATES[event.kind]
-                self._sequence_reason = event.text
+                self._session.sequence_state = _SEQUENCE_STATES[event.kind]
+                self._session.sequence_reason = event.text
             # One status for each change, so that the host sees them all, in their order.
             self._send_status()
-        if self.axis.silences != self._told_silences:
-            self._told_silences = self.axis.silences
+        if self.axis.silences != self._session.told_silences:
+            self._session.told_silences = self.axis.silences
             self._send_status()
         for number, outcome in self.axis.take_completed():
-            if number not in self._replies:
+            if number not in self._session.replies:
                 continue  # asked for in an earlier session
             reply = protocol.RequestReply(number, _phase(outcome), outcome.message)
             self._remember(reply)
@@ -285,8 +308,7 @@ class EmulatedFirmware:
             return
         batches = self._ticks.take_full()
         for ticks in batches:
-            told = dataclasses.replace(ticks, first_tick=self._told_tick(ticks.first_tick))
-            self._send(protocol.Telemetry(told))
+            self._send(protocol.Telemetry(self.lies.told(ticks, self._parameters.period_ns)))
         if batches:
             self._send_status()
 
@@ -307,16 +329,16 @@ class EmulatedFirmware:
                 min(max(position, limits.min), limits.max),
                 min(max(velocity, limits.min), limits.max),
                 axis.fault.number,
-                (axis.silences - self._silences) & 0xFFFF,
-                self._told_tick(axis.silence_tick) if axis.silences != self._silences else 0,
-                self._setpoint_number,
+                (axis.silences - self._session.silences) & 0xFFFF,
+                self._told_tick(axis.silence_tick) if axis.silences != self._session.silences else 0,
+                self._session.setpoint_number,
                 self._setpoints_refused,
-                self._sequence_number,
-                self._sequence_state,
+                self._session.sequence_number,
+                self._session.sequence_state,
                 axis.n_received,
                 min(axis.buffer_free, 0xFFFF),
                 axis.reason,
-                self._sequence_reason,
+                self._session.sequence_reason,
             )
         )
 

@@ -25,7 +25,7 @@ from ruamel.yaml.error import YAMLError
 from beam_ros.errors import likeliest
 from beam_ros.hub.errors import HubParameterError
 
-Place = Literal["line", "clock", "cable", "device", "axis"]
+Place = Literal["line", "clock", "cable", "device", "firmware", "axis"]
 Direction = Literal["to_host", "to_device", "both"]
 DIRECTIONS: tuple[Direction, ...] = ("to_host", "to_device", "both")
 
@@ -47,7 +47,7 @@ class FaultKind:
     Parameters
     ----------
     place : str
-        line, clock, cable, device or axis; a simulated hub has only the last two.
+        line, clock, cable, device, firmware or axis; a simulated hub has only the last one.
     sentence : str
         What happens.
     amounts : mapping of str to Amount
@@ -80,10 +80,33 @@ KINDS: dict[str, FaultKind] = {
     "reset": FaultKind("device", "the power is cut for a moment", happens_once=True),
     "unplug": FaultKind("cable", "the cable is pulled, and put in again at the end"),
     "stall": FaultKind("device", "the device hears and says nothing; its ticks go on"),
+    "ignored_stop": FaultKind(
+        "firmware",
+        "stops are ignored, and answered with nothing (0), success (1) or pending (2)",
+        {"answer": Amount(1.0, 0.0, 2.0, "of these")},
+    ),
+    "no_number": FaultKind(
+        "firmware", "ticks say NaN for what was applied", {"share": Amount(1.0, 0.0, 1.0, "of all ticks")}
+    ),
+    "missed_ticks": FaultKind(
+        "firmware",
+        "one tick in so many is missed, and not counted",
+        {"one_in": Amount(500.0, 20.0, 1e6, "ticks")},
+    ),
+    "trip": FaultKind(
+        "firmware",
+        "the firmware stops with a fault of its own, by its number in docs/protocol.md",
+        {"number": Amount(12.0, 1.0, 63.0, "of the table")},
+        happens_once=True,
+    ),
     "lying_encoder": FaultKind(
         "axis",
         "the encoder reads something else",
-        {"offset": Amount(0.001, -10.0, 10.0, "m"), "scale": Amount(1.0, -10.0, 10.0, "1")},
+        {
+            "offset": Amount(0.001, -10.0, 10.0, "m"),
+            "scale": Amount(1.0, -10.0, 10.0, "1"),
+            "drift": Amount(0.0, -10.0, 10.0, "m/s"),
+        },
     ),
     "sticking_axis": FaultKind("axis", "the hub stands still whatever is commanded"),
 }
@@ -214,8 +237,8 @@ def _number(value: object, name: str, source: str, least: float, most: float) ->
 class DisturbedAxis(Protocol):
     """A simulated hub whose encoder can lie and that can stick."""
 
-    def lie(self, offset: float, scale: float) -> None:
-        """Let the encoder read ``scale`` times the position, and ``offset`` more [m]."""
+    def lie(self, offset: float, scale: float, drift: float = 0.0) -> None:
+        """Let the encoder read ``scale`` times the position, and ``offset`` [m] and ever more [m/s] besides."""
 
     def stick(self, *, is_stuck: bool) -> None:
         """Let the hub stand still whatever is commanded, or move again."""
@@ -232,6 +255,7 @@ class FaultSchedule:
 
     def __init__(self, faults: Sequence[InjectedFault] = ()) -> None:
         self._changes: list[tuple[float, int, InjectedFault, bool]] = []
+        self._notes: list[str] = []
         self._numbers = count()
         self.add(faults)
 
@@ -246,12 +270,13 @@ class FaultSchedule:
         """Yield what begins (True) or ends (False) up to a time [s since power-on], each once."""
         while self._changes and self._changes[0][0] <= now:
             _, _, fault, begins = heapq.heappop(self._changes)
+            self._notes.append(f"{'fault' if begins else 'end of fault'}: {fault}")
             yield fault, begins
 
-
-def note(fault: InjectedFault, *, begins: bool) -> str:
-    """Return the line of a log on a fault that begins or ends."""
-    return f"{'fault' if begins else 'end of fault'}: {fault}"
+    def take_notes(self) -> list[str]:
+        """Return what began and ended since the last call, for the log."""
+        notes, self._notes = self._notes, []
+        return notes
 
 
 def disturb(axis: DisturbedAxis, fault: InjectedFault, *, begins: bool) -> None:
@@ -259,7 +284,7 @@ def disturb(axis: DisturbedAxis, fault: InjectedFault, *, begins: bool) -> None:
     if fault.kind == "sticking_axis":
         axis.stick(is_stuck=begins)
     elif begins:
-        axis.lie(fault.amounts["offset"], fault.amounts["scale"])
+        axis.lie(fault.amounts["offset"], fault.amounts["scale"], fault.amounts["drift"])
     else:
         axis.lie(0.0, 1.0)
 

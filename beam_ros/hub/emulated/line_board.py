@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+from beam_ros.hub.emulated.injected_faults import InjectedFault
+from beam_ros.hub.emulated.lies import Lies
 from beam_ros.hub.emulated.servo import TICK_NS, servo_parameters
 from beam_ros.hub.parameters import AxisParameters, SimulatedDevice
 from beam_ros.hub.simulated.motion import HubMotion
@@ -11,6 +13,8 @@ from beam_ros.hub.simulated.plant import Plant
 
 LINE_NS = 5_000_000
 """A line for every 5 ms of the board's clock [ns]."""
+MICROSECONDS_WRAP_NS = (1 << 32) * 1000
+"""The counter of microseconds has 32 bits [ns]."""
 COUNT = 1e-6
 """What one unit of the printed position is [m]."""
 _TONES = ((0.9, 0.002), (6.5, 0.0001))
@@ -31,25 +35,26 @@ class LineBoard:
 
     Attributes
     ----------
-    clock_step_ns : int
-        By how much the printed clock was set forward [ns].
-    clock_wrap_ns : int
-        Where it begins at zero again [ns]; 0: at 32 bits of microseconds.
+    lies : Lies
+        Of its printed clock.
     """
 
     def __init__(self, parameters: AxisParameters, plant: Plant, device: SimulatedDevice) -> None:
         self.axis = _SelfMoved(servo_parameters(parameters), plant, device)
-        self.clock_step_ns = 0
-        self.clock_wrap_ns = 0
+        self.lies = Lies(clock_wrap_ns=MICROSECONDS_WRAP_NS)
         self._next_ns = -(-device.clock_start_ns // LINE_NS) * LINE_NS
+
+    def disturb(self, injected: InjectedFault, *, begins: bool) -> None:
+        """Let a fault of the clock begin or end."""
+        self.lies.change(injected, begins=begins)
+        self.lies.clock_wrap_ns = self.lies.clock_wrap_ns or MICROSECONDS_WRAP_NS
 
     def exchange(self, _data: bytes, device_ns: int) -> bytes:
         """Advance to a device time [ns] and return the lines that are due."""
         lines = []
         while self._next_ns <= device_ns:
             self.axis.advance(self._next_ns)
-            shown_ns = (self._next_ns + self.clock_step_ns) % (self.clock_wrap_ns or (1 << 32) * 1000)
-            micros = shown_ns // 1000
+            micros = self.lies.told_ns(self._next_ns) // 1000
             lines.append(f"{micros},{round(self.axis.measured_position / COUNT)}\r\n")
             self._next_ns += LINE_NS
         self.axis.advance(device_ns)

@@ -1,7 +1,10 @@
 """An emulated ODrive: its ASCII protocol, its properties, its watchdog, with the beam on its motor.
 
-Written from the documentation of firmware 0.5 alone (ascii-protocol.rst, and the lists of properties and faults of
-0.5.6), not from the host's side of this suite: the two meet on the wire.
+Written from the documentation of firmware 0.5 (ascii-protocol.rst, and the lists of properties and faults of 0.5.6)
+and from what drives with it were seen to do, not from the host's side of this suite: the two meet on the wire. What
+the documentation does not say: a register of 64 bits is printed as ``lu`` (ODrive's issue 571), an answer is cut
+after nine characters, a request for a state takes effect in the drive's own loop, and a fault of the motor need not
+show in the register of its axis.
 """
 
 from __future__ import annotations
@@ -18,6 +21,17 @@ _WATCHDOG_TIMER_EXPIRED = 0x800
 _INVALID_STATE = 0x1
 _OVERSPEED = 0x1
 _CONTROLLER_FAILED = 0x200
+_ANSWER_CHARACTERS = 9
+"""The firmware prints a property into ten bytes, of which the last is the end of the text."""
+_VERSION = ("major", "minor", "revision")
+_REGISTERS = (
+    "error",
+    "axis0.error",
+    "axis0.motor.error",
+    "axis0.controller.error",
+    "axis0.encoder.error",
+    "axis0.sensorless_estimator.error",
+)
 
 
 class EmulatedOdrive:
@@ -35,15 +49,13 @@ class EmulatedOdrive:
         Travel of the hub for one turn [m].
     has_watchdog : bool, optional
         False: a firmware whose watchdog does not run when it is set over ASCII (ODrive's issue 460).
-
-    Attributes
-    ----------
-    clock_step_ns, clock_wrap_ns : int
-        Of the clock, which this protocol shows to nobody.
+    prints_64_bits : bool, optional
+        True: a firmware that was built with a C library that can print them.
+    closing_s : float, optional
+        How long the drive takes until it leads the motor [s]; 0: at once, as the documentation has it.
+    version : (int, int, int), optional
+        What it says of its firmware.
     """
-
-    clock_step_ns = 0
-    clock_wrap_ns = 0
 
     def __init__(
         self,
@@ -53,25 +65,26 @@ class EmulatedOdrive:
         *,
         metres_per_turn: float = 1.0,
         has_watchdog: bool = True,
+        prints_64_bits: bool = False,
+        closing_s: float = 0.02,
+        version: tuple[int, int, int] = (0, 5, 6),
     ) -> None:
         self.axis = ServoAxis(servo_parameters(parameters), plant, device)
         self._turn = metres_per_turn
         self._has_watchdog = has_watchdog
+        self._prints_64_bits = prints_64_bits
+        self._closing_ns = round(closing_s * 1e9)
+        self._closed_ns: int | None = None
         self._fed_ns = self._now_ns = device.clock_start_ns
         self._input = b""
         self._position = self.axis.true_position
         self._velocity = 0.0
         self._properties: dict[str, float] = {
             "vbus_voltage": 24.0875,
-            "fw_version_major": 0,
-            "fw_version_minor": 5,
-            "fw_version_revision": 6,
+            **{f"fw_version_{part}": number for part, number in zip(_VERSION, version, strict=True)},
             "axis0.requested_state": 0,
             "axis0.current_state": _IDLE,
-            "axis0.error": 0,
-            "axis0.motor.error": 0,
-            "axis0.controller.error": 0,
-            "axis0.encoder.error": 0,
+            **dict.fromkeys(_REGISTERS, 0),
             "axis0.config.enable_watchdog": 0,
             "axis0.config.watchdog_timeout": 0.0,
             "axis0.controller.config.control_mode": 3,
@@ -79,7 +92,11 @@ class EmulatedOdrive:
             "axis0.controller.config.vel_limit": 2.0,
             "axis0.controller.config.enable_overspeed_error": 1,
         }
-        self._read_only = {"vbus_voltage", "axis0.current_state"}
+        self._read_only = {
+            "vbus_voltage",
+            "axis0.current_state",
+            *(f"fw_version_{part}" for part in _VERSION),
+        }
 
     def exchange(self, data: bytes, device_ns: int) -> bytes:
         """Advance to a device time [ns], do what the bytes say, and return the answers."""
@@ -87,14 +104,16 @@ class EmulatedOdrive:
         self.axis.speed_limit = self._properties["axis0.controller.config.vel_limit"] * abs(self._turn)
         self.axis.advance(device_ns, self._command)
         self._watch()
+        self._close_loop()
         *lines, self._input = (self._input + data).split(b"\n")
         self._input = self._input[-256:]
         return b"".join(map(self._answer, lines))
 
     def fail(self, register: str, bits: int) -> None:
-        """Let a fault come about: a register such as ``motor.error``, and its bits."""
-        self._properties[f"axis0.{register}"] = int(self._properties[f"axis0.{register}"]) | bits
+        """Let a fault come about: a register such as ``axis0.motor.error``, and its bits."""
+        self._properties[register] = int(self._properties[register]) | bits
         self._properties["axis0.current_state"] = _IDLE
+        self._closed_ns = None
 
     def _command(self, device_ns: int) -> tuple[float, float] | None:
         if self._properties["axis0.current_state"] != _CLOSED_LOOP or self._is_overdue(device_ns):
@@ -108,15 +127,15 @@ class EmulatedOdrive:
 
     def _watch(self) -> None:
         if self._is_overdue(self._now_ns):
-            self.fail("error", _WATCHDOG_TIMER_EXPIRED)
+            self.fail("axis0.error", _WATCHDOG_TIMER_EXPIRED)
         limit = self.axis.speed_limit * 1.2
         if (
             self._properties["axis0.current_state"] == _CLOSED_LOOP
             and self._properties["axis0.controller.config.enable_overspeed_error"]
             and abs(self.axis.velocity) > limit
         ):
-            self.fail("controller.error", _OVERSPEED)
-            self.fail("error", _CONTROLLER_FAILED)
+            self.fail("axis0.controller.error", _OVERSPEED)
+            self.fail("axis0.error", _CONTROLLER_FAILED)
 
     def _answer(self, line: bytes) -> bytes:
         body = line.partition(b";")[0].strip(b"\r\n")
@@ -144,12 +163,11 @@ class EmulatedOdrive:
             return self._do_motor(verb, [float(word) for word in words[2:]])
         if verb == "r":
             value = self._properties.get(words[1])
-            return "invalid property" if value is None else _printed(words[1], value)
+            return "invalid property" if value is None else self._printed(words[1], value)
         if verb == "w":
             return self._set(words[1], float(words[2]))
         if verb == "sc":
-            for path in ("error", "motor.error", "controller.error", "encoder.error"):
-                self._properties[f"axis0.{path}"] = 0
+            self._properties.update(dict.fromkeys(_REGISTERS, 0))
             return ""
         return "unknown command"
 
@@ -174,18 +192,27 @@ class EmulatedOdrive:
         return ""
 
     def _request_state(self, state: int) -> None:
-        errors = ("error", "motor.error", "controller.error", "encoder.error")
-        has_fault = any(self._properties[f"axis0.{path}"] for path in errors)
-        if state == _CLOSED_LOOP and not has_fault:
-            # Where the motor stands is what it holds, until a command says otherwise.
-            self._position, self._velocity = self.axis.true_position, 0.0
-            self._properties["axis0.current_state"] = _CLOSED_LOOP
+        # A request forgets that the one before it could not be met.
+        self._properties["axis0.error"] = int(self._properties["axis0.error"]) & ~_INVALID_STATE
+        self._closed_ns = None
+        if state == _CLOSED_LOOP and not any(self._properties[path] for path in _REGISTERS):
+            self._closed_ns = self._now_ns + self._closing_ns
+            self._close_loop()
         elif state == _IDLE:
             self._properties["axis0.current_state"] = _IDLE
         else:
-            self.fail("error", _INVALID_STATE)
+            self.fail("axis0.error", _INVALID_STATE)
 
+    def _close_loop(self) -> None:
+        """Lead the motor, once the drive has got as far."""
+        if self._closed_ns is not None and self._now_ns >= self._closed_ns:
+            self._closed_ns = None
+            # Where the motor stands is what it holds, until a command says otherwise.
+            self._position, self._velocity = self.axis.true_position, 0.0
+            self._properties["axis0.current_state"] = _CLOSED_LOOP
 
-def _printed(path: str, value: float) -> str:
-    is_real = path.endswith(("voltage", "timeout", "limit"))
-    return f"{value:f}" if is_real else str(int(value))
+    def _printed(self, path: str, value: float) -> str:
+        if path == "axis0.motor.error" and not self._prints_64_bits:
+            return "lu"
+        is_real = path.endswith(("voltage", "timeout", "limit"))
+        return (f"{value:f}" if is_real else str(int(value)))[:_ANSWER_CHARACTERS]

@@ -83,9 +83,9 @@ class ServoAxis:
         """Return hub and beam at exact instants of the recent past; see ``HubMotion.snapshots``."""
         return self._motion.snapshots(times_ns)
 
-    def lie(self, offset: float, scale: float) -> None:
-        """Let the encoder read ``scale`` times the position, and ``offset`` more [m]."""
-        self._motion.lie(offset, scale)
+    def lie(self, offset: float, scale: float, drift: float = 0.0) -> None:
+        """Let the encoder read ``scale`` times the position, and ``offset`` [m] and ever more [m/s] besides."""
+        self._motion.lie(offset, scale, drift)
 
     def stick(self, *, is_stuck: bool) -> None:
         """Let the hub stand still whatever is commanded, or move again."""

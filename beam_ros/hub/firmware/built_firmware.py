@@ -38,8 +38,6 @@ class BuiltFirmware:
     ----------
     axis : DrivenHub
         The hub.
-    clock_step_ns, clock_wrap_ns : int
-        Without effect: nobody can disturb this clock.
 
     Raises
     ------
@@ -59,7 +57,6 @@ class BuiltFirmware:
         n_starts: int = 0,
     ) -> None:
         self.axis = DrivenHub(parameters, plant, device)
-        self.clock_step_ns = self.clock_wrap_ns = 0
         self._parameters = parameters
         self._frames = FrameDecoder()
         self._to_firmware = bytearray()

@@ -45,6 +45,7 @@ class DrivenHub:
         self._plant = plant
         self._device = device or SimulatedDevice()
         self._home_counter: int | None = None
+        self._signals: dict[str, bool] = {}
         self._begin(self._device.initial_position, 0)
         self._delay_ns: int | None = None
 
@@ -59,6 +60,11 @@ class DrivenHub:
         return self._motion.hub_position
 
     @property
+    def max_following_error(self) -> float:
+        """How far the hub may be from its reference before the firmware stops it [m]."""
+        return self._parameters.max_following_error
+
+    @property
     def velocity(self) -> float:
         """How the hub moves [m/s]."""
         return self._motion.hub_velocity
@@ -66,19 +72,23 @@ class DrivenHub:
     @property
     def reading(self) -> Reading:
         """What the sensors read at the tick that comes next."""
-        return self._reading
+        return replace(self._reading, **self._signals)
 
     def snapshots(self, times_ns: Sequence[int] | StampArray) -> Snapshots:
         """Return hub and beam at exact instants of the recent past in the caller's time, as ``HubMotion`` does."""
         return self._motion.snapshots(np.asarray(times_ns, dtype=np.int64) - (self._delay_ns or 0))
 
-    def lie(self, offset: float, scale: float) -> None:
-        """Let the encoder read ``scale`` times the position, and ``offset`` more [m]."""
-        self._motion.lie(offset, scale)
+    def lie(self, offset: float, scale: float, drift: float = 0.0) -> None:
+        """Let the encoder read ``scale`` times the position, and ``offset`` [m] and ever more [m/s] besides."""
+        self._motion.lie(offset, scale, drift)
 
     def stick(self, *, is_stuck: bool) -> None:
         """Let the hub stand still whatever is commanded, or move again."""
         self._motion.stick(is_stuck=is_stuck)
+
+    def hold_signals(self, **signals: bool) -> None:
+        """Let signals of the reading (fields of ``Reading``) be on or off whatever the hub does, all others true."""
+        self._signals = signals
 
     def reset(self) -> None:
         """Let a firmware begin anew: the hub stops where it is, and the encoder counts from there."""

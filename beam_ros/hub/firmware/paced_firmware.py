@@ -75,7 +75,7 @@ class PacedFirmware:
         self._said = bytearray()
         self._tick = 0
         try:
-            self._answer(encode_setup(parameters))
+            self._answer(encode_setup(parameters, parameters.max_following_error))
         except BaseException:
             self._machine.close()
             raise

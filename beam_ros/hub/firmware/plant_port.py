@@ -32,6 +32,8 @@ class Reading:
         Force on the hub in the tick that has ended [N].
     is_counter_valid, has_home_counter, is_below_home, is_at_low_end, is_at_high_end, has_drive_alarm : bool
         Whether the encoder works, whether ``home_counter`` means anything, home and end switches, alarm.
+    has_lost_steps : bool
+        Whether the drive did not make all steps of a tick in its time.
     """
 
     tick: int
@@ -44,6 +46,7 @@ class Reading:
     is_at_low_end: bool = False
     is_at_high_end: bool = False
     has_drive_alarm: bool = False
+    has_lost_steps: bool = False
 
 
 @dataclass(frozen=True)
@@ -122,6 +125,7 @@ def encode_reading(reading: Reading) -> bytes:
         reading.is_at_low_end,
         reading.is_at_high_end,
         reading.has_drive_alarm,
+        reading.has_lost_steps,
     )
     return encode_frame(
         _READING.pack(

@@ -141,24 +141,13 @@ class CommandGate:
         state, position, speed
             The axis's state, measured position [m] and speed [m/s].
         """
-        assembler = self._assembler
         if chunk.fault and not chunk.sequence_id:
             # Nobody knows whose chunk it was: the sequence that is loading will lack one.
-            if assembler is not None and self._check is None and not self._is_released:
+            if self._is_loading:
                 self._refuse(chunk.fault)
             return
-        if assembler is None:
-            if (chunk.sequence_id, chunk.start_ns) == self._refused:
-                return
-            assembler = self._assembler = SequenceAssembler(chunk, self._parameters)
-            self._is_released = False
-        if chunk.sequence_id != assembler.sequence_id:
-            if (chunk.sequence_id, chunk.start_ns) != self._refused:
-                self._refused = (chunk.sequence_id, chunk.start_ns)
-                reason = f"sequence {assembler.sequence_id} is loaded; wait for its end or call hub/stop"
-                self._reports.append(SequenceReport(chunk.sequence_id, "refused", len(chunk.values), reason))
-            return
-        if self._is_released or self._check is not None:
+        assembler = self._assembler_for(chunk)
+        if assembler is None or not self._is_loading:
             return
         age = stale(chunk.start_ns, now_ns, ahead_ns=MAX_LEAD_NS)
         objection = chunk.fault or age or assembler.add(chunk)
@@ -168,6 +157,24 @@ class CommandGate:
         self._report("loading")
         if assembler.is_complete:
             self._begin_check(assembler, now_ns, state, position, speed)
+
+    @property
+    def _is_loading(self) -> bool:
+        return self._assembler is not None and self._check is None and not self._is_released
+
+    def _assembler_for(self, chunk: SequenceChunk) -> SequenceAssembler | None:
+        """Return what puts the chunk's sequence together; None where it is refused, which is said once."""
+        name = (chunk.sequence_id, chunk.start_ns)
+        if self._assembler is None and name != self._refused:
+            self._assembler = SequenceAssembler(chunk, self._parameters)
+            self._is_released = False
+        if self._assembler is None or self._assembler.sequence_id == chunk.sequence_id:
+            return self._assembler
+        if name != self._refused:
+            self._refused = name
+            reason = f"sequence {self.sequence_id} is loaded; wait for its end or call hub/stop"
+            self._reports.append(SequenceReport(chunk.sequence_id, "refused", len(chunk.values), reason))
+        return None
 
     def _begin_check(
         self, assembler: SequenceAssembler, now_ns: int, state: AxisState, position: float, speed: float

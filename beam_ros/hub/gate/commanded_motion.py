@@ -20,8 +20,8 @@ from beam_model import PredictedLoads
 from beam_ros.arrays import FloatArray
 from beam_ros.hub.contract import SampleBatch
 from beam_ros.hub.gate.beam_guard import BeamGuard
-from beam_ros.hub.gate.motion_phases import Phase, move_ticks, phases_towards, stop
 from beam_ros.hub.gate.sequence_check import POSITION_TOLERANCE, RELATIVE_TOLERANCE
+from beam_ros.hub.kinematics import Phase, answer, in_ticks, ramp
 from beam_ros.hub.parameters import AxisParameters
 
 ARRIVAL_NS = 5_000_000
@@ -148,11 +148,11 @@ class CommandedMotion:
         parameters, mode = self._parameters, self._parameters.command_mode
         if mode == "effort" and self._guard is None:
             return None
+        way = answer(value, start.position, start.velocity, parameters)
         if mode == "position":
-            n_ticks = move_ticks(value, start.position, start.velocity, parameters)
-            phases = phases_towards(value, start.position, start.velocity, parameters, n_ticks)
+            phases = in_ticks(way, parameters.period)
         else:
-            phases = phases_towards(value, start.position, start.velocity, parameters, self._hold_ticks)
+            phases = in_ticks(way, parameters.period, self._hold_ticks)
             # The stop may come sooner than the watchdog: looked at in the middle too.
             last = phases.pop()
             phases += [Phase(last.n_ticks // 2, last.drive), Phase(-(-last.n_ticks // 2), last.drive)]
@@ -182,12 +182,11 @@ class CommandedMotion:
         return instant
 
     def _phases(self, value: float | None, instant: _Instant, n_ticks: int) -> list[Phase]:
+        parameters = self._parameters
+        way = [ramp(instant.velocity, 0.0, parameters.stop_deceleration)]
         if value is not None:
-            return phases_towards(value, instant.position, instant.velocity, self._parameters, n_ticks)
-        braking = stop(instant.velocity, self._parameters)
-        if braking.n_ticks >= n_ticks:
-            return [Phase(n_ticks, braking.drive)]
-        return [braking, Phase(n_ticks - braking.n_ticks, 0.0)]
+            way = answer(value, instant.position, instant.velocity, parameters)
+        return in_ticks(way, parameters.period, n_ticks)
 
 
 def moved(
@@ -224,8 +223,6 @@ class _Future:
 
     def objection(self, phases: list[Phase]) -> str | None:
         for phase in phases:
-            if phase.n_ticks == 0:
-                continue
             objection = self._follow(phase) or self._stopped()
             if objection:
                 return objection
@@ -266,9 +263,9 @@ class _Future:
         objection = self._beyond([instant.position + way])
         if objection or guard is None:
             return objection
-        phase, beam = stop(instant.velocity, parameters), instant.beam
+        beam = instant.beam
         # The force of a stop is the axis's own: no set-point is the reason for it.
-        if phase.n_ticks:
+        for phase in in_ticks([ramp(instant.velocity, 0.0, parameters.stop_deceleration)], parameters.period):
             peaks = guard.led.peaks(beam, phase.drive, phase.n_ticks)
             np.maximum(self._loads[:2], peaks[:2], out=self._loads[:2])
             beam = guard.led.after(beam, phase.drive, phase.n_ticks)

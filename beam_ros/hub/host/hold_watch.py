@@ -43,7 +43,7 @@ class HoldWatch:
             self.forget()
             return
         counts = ticks.position_counts
-        self._waiting.append((ticks.first_tick + len(ticks), int(np.min(counts)), int(np.max(counts))))
+        self._waiting.append((ticks.end_tick, int(np.min(counts)), int(np.max(counts))))
 
     def find(self, tick: int) -> tuple[str, str] | None:
         """Return the fault of ticks before one at which the device says that it holds the hub, and what was seen."""

@@ -11,6 +11,7 @@ Every bound follows from the limits of the axis, the encoder's step and ``max_fo
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -32,6 +33,31 @@ MEMORY = 0.4
 """... which grows with the time for which it has been followed by this share: as a fit of all of it would do."""
 
 
+@dataclass(frozen=True)
+class Measuring:
+    """How well positions and their times are known.
+
+    Parameters
+    ----------
+    jump : float
+        What a position may jump at rest [m].
+    rest : float
+        By how much positions of a hub at rest differ within 50 ms [m].
+    jitter : float
+        By how much the times of two samples may be wrong [s].
+    """
+
+    jump: float
+    rest: float
+    jitter: float = 0.0
+
+    @classmethod
+    def by_encoder(cls, parameters: AxisParameters) -> Measuring:
+        """Return how the encoder of an axis measures, at the ticks of its device."""
+        noise = NOISE_COUNTS * parameters.encoder_resolution
+        return cls(noise, noise)
+
+
 class CertainMotion:
     """What is certain of an axis whatever it is commanded: it stays in its travel, and moves no faster than it can.
 
@@ -39,17 +65,14 @@ class CertainMotion:
     ----------
     parameters : AxisParameters
         Limits.
-    noise : float
-        What a position may jump at rest [m].
-    jitter : float, optional
-        By how much the times of two samples may be wrong [s].
+    measuring : Measuring
+        How well positions are known.
     """
 
-    def __init__(self, parameters: AxisParameters, noise: float, jitter: float = 0.0) -> None:
+    def __init__(self, parameters: AxisParameters, measuring: Measuring) -> None:
         self._parameters = parameters
         self._tolerance = parameters.max_following_error + 2 * parameters.encoder_resolution
-        self._noise = noise
-        self._jitter = jitter
+        self._measuring = measuring
         self._least = max(SPEED_S, parameters.period) - 1e-9
         self._past: deque[tuple[float, float]] = deque()
 
@@ -95,7 +118,7 @@ class CertainMotion:
         if len(times) < 2:
             return None
         speed = OVERSHOOT * self._parameters.max_speed
-        most = speed * (np.diff(times) + self._jitter) + self._noise
+        most = speed * (np.diff(times) + self._measuring.jitter) + self._measuring.jump
         ways = np.abs(np.diff(positions))
         worst = int(np.argmax(ways - most))
         if ways[worst] <= most[worst]:
@@ -120,7 +143,7 @@ class CertainMotion:
         """Look for a mean speed beyond the limit, which no servo's lag or noise explains."""
         if not self._past or now - self._past[0][0] < self._least:
             return None
-        elapsed = now - self._past[0][0] + self._jitter
+        elapsed = now - self._past[0][0] + self._measuring.jitter
         way = abs(position - self._past[0][1])
         if way <= self._parameters.max_speed * elapsed + 2 * self._tolerance:
             return None
@@ -138,19 +161,25 @@ class MotionWatch:
     ----------
     parameters : AxisParameters
         Limits, command mode, tick, encoder, and the greatest following error.
+    measuring : Measuring
+        How well positions are known.
+
+    Attributes
+    ----------
+    certain : CertainMotion
+        What is certain whatever was applied.
     """
 
-    def __init__(self, parameters: AxisParameters) -> None:
+    def __init__(self, parameters: AxisParameters, measuring: Measuring) -> None:
         self._parameters = parameters
         self._step = parameters.encoder_resolution
         self._tolerance = parameters.max_following_error + 2 * self._step
         self._path = None if parameters.command_mode == "effort" else _Path(parameters)
-        self._certain = CertainMotion(parameters, NOISE_COUNTS * self._step)
-        self._n_ticks = 0
+        self.certain = CertainMotion(parameters, measuring)
 
     def forget(self) -> None:
         """Begin anew: where the hub is has another meaning from now on, or it may have been moved."""
-        self._certain.forget()
+        self.certain.forget()
         if self._path is not None:
             self._path.forget()
 
@@ -170,12 +199,8 @@ class MotionWatch:
         is_enabled : bool
             Whether the drive holds the hub to its reference.
         """
-        positions = np.multiply(ticks.position_counts, self._step, dtype=np.float64)
-        self._n_ticks += lost
-        numbers = np.arange(self._n_ticks, self._n_ticks + len(ticks), dtype=np.float64)
-        times = self._parameters.period * numbers
-        self._n_ticks += len(ticks)
-        found = self._certain.find(times, positions, is_homed=is_homed, is_enabled=is_enabled)
+        times, positions = ticks.measured(self._parameters.period, self._step)
+        found = self.certain.find(times, positions, is_homed=is_homed, is_enabled=is_enabled)
         if self._path is not None:
             error = self._path.error(ticks.applied, positions, has_gap=lost > 0, is_enabled=is_enabled)
             if found is None and is_enabled and error > self._tolerance:

@@ -81,6 +81,7 @@ class DeviceClock:
         self._sent: dict[int, int] = {}
         self._number = 0
         self._last_query_ns = 0
+        self._interval_ns = URGENT_CLOCK_NS
         self._syncs: list[ClockSync] = []
 
     def connect(self, now_ns: int, *, is_new_boot: bool) -> None:
@@ -104,18 +105,22 @@ class DeviceClock:
 
     def is_query_due(self, now_ns: int) -> bool:
         """Whether the clock should be asked now."""
-        interval_ns = SLOW_CLOCK_NS
+        interval_ns = self._interval_ns
         if now_ns - self.connected_ns < FAST_CLOCK_PHASE_NS:
             interval_ns = FAST_CLOCK_NS
-        elif self._n_other or self.sd_ns(now_ns) > self.max_sd_ns:
-            interval_ns = URGENT_CLOCK_NS
         return now_ns - self._last_query_ns >= interval_ns
+
+    def _set_interval(self, now_ns: int) -> None:
+        """Ask more often while the map is not good enough; only questions and answers change that."""
+        is_vague = self._n_other or self.sd_ns(now_ns) > self.max_sd_ns
+        self._interval_ns = URGENT_CLOCK_NS if is_vague else SLOW_CLOCK_NS
 
     def query(self, now_ns: int) -> int | None:
         """Return the number of a question that is due and leaves now, or None."""
         if not self.is_query_due(now_ns):
             return None
         self._last_query_ns = now_ns
+        self._set_interval(now_ns)
         self._number = (self._number + 1) & 0xFFFF
         if len(self._sent) > MAX_OPEN_QUERIES:
             self._sent.clear()
@@ -149,6 +154,7 @@ class DeviceClock:
             sync = self.mapping.add(sent_ns, returned_ns, device_ns)
             self.ticks.take_trip(returned_ns - sent_ns)
             self._syncs.append(dataclasses.replace(sync, host_ns=clock.stamp_ns(sync.host_ns)))
+        self._set_interval(received_ns)
 
     def take_syncs(self) -> list[ClockSync]:
         """Return the comparisons of the clocks since the last call."""

@@ -36,6 +36,30 @@ class _Frame(NamedTuple):
     """Whether the window had no room after it."""
 
 
+class _FrameTimes:
+    """How long frames take until they are acknowledged: mean and deviation as RFC 6298 has them, and the shortest.
+
+    Parameters
+    ----------
+    round_trip_ns : int
+        What a short word takes [ns], for the patience with the first frame.
+    """
+
+    def __init__(self, round_trip_ns: int) -> None:
+        self.patience_ns = MIN_PATIENCE_NS + round_trip_ns
+        self._shortest_ns = self._mean_ns = self._deviation_ns = 0
+
+    def learn(self, took_ns: int) -> int:
+        """Take the time of a frame [ns]; return how much of it the frame waited."""
+        if not self._mean_ns:
+            self._shortest_ns, self._mean_ns, self._deviation_ns = took_ns, took_ns, took_ns // 2
+        self._shortest_ns = min(self._shortest_ns, took_ns)
+        self._deviation_ns += (abs(took_ns - self._mean_ns) - self._deviation_ns) // 4
+        self._mean_ns += (took_ns - self._mean_ns) // 8
+        self.patience_ns = max(self._mean_ns + 4 * self._deviation_ns, MIN_PATIENCE_NS)
+        return took_ns - self._shortest_ns
+
+
 class SampleWindow:
     """The samples of one sequence that are under way to the device, and what the line makes of them.
 
@@ -57,8 +81,7 @@ class SampleWindow:
         self._n_samples = n_samples
         self._frames: deque[_Frame] = deque()
         self._n_frames = FIRST_FRAMES
-        self._patience_ns = MIN_PATIENCE_NS + round_trip_ns
-        self._shortest_ns = self._mean_ns = self._deviation_ns = 0
+        self._times = _FrameTimes(round_trip_ns)
         self._n_in_vain = 0
         self._probe = 0
         self._farthest = self._halved = 0
@@ -83,7 +106,7 @@ class SampleWindow:
         now_ns : int
             Steady time [ns].
         """
-        patience_ns = min(self._patience_ns << max(0, self._n_in_vain - 1), MAX_PATIENCE_NS)
+        patience_ns = min(self._times.patience_ns << max(0, self._n_in_vain - 1), MAX_PATIENCE_NS)
         if self.sent > self.received and now_ns - self._moved_ns > patience_ns:
             return self.received, self.received + max(1, (self._frames[0].end - self.received) // 2)
         end = min(self.sent + SAMPLES_PER_FRAME, edge, self._n_samples)
@@ -128,15 +151,8 @@ class SampleWindow:
         return not self._probe and self.sent - self.received < self._n_frames * SAMPLES_PER_FRAME
 
     def _learn(self, frame: _Frame, now_ns: int) -> None:
-        """Take from the time of one frame how long others may take, and how many there may be."""
-        took_ns = now_ns - frame.sent_ns
-        if not self._mean_ns:
-            self._shortest_ns, self._mean_ns, self._deviation_ns = took_ns, took_ns, took_ns // 2
-        self._shortest_ns = min(self._shortest_ns, took_ns)
-        self._deviation_ns += (abs(took_ns - self._mean_ns) - self._deviation_ns) // 4
-        self._mean_ns += (took_ns - self._mean_ns) // 8
-        self._patience_ns = max(self._mean_ns + 4 * self._deviation_ns, MIN_PATIENCE_NS)
-        waited_ns = took_ns - self._shortest_ns
+        """Take from the time of one frame how many there may be."""
+        waited_ns = self._times.learn(now_ns - frame.sent_ns)
         if waited_ns < QUEUE_NS and frame.fills:
             self._n_frames = min(self._n_frames + 1, MAX_FRAMES)
         elif waited_ns > 2 * QUEUE_NS and frame.end > self._halved:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-MOST_NS = 50_000_000
-"""So much of the time between two looks counts at the most [ns]: who was frozen in it heard nothing."""
+from beam_ros.hub.host.waking_time import WakingTime
 
 
 class Silence:
@@ -23,13 +22,13 @@ class Silence:
     def __init__(self, patience_ns: int) -> None:
         self.is_connected = False
         self._patience_ns = patience_ns
-        self._silent_ns = 0
-        self._looked_ns: int | None = None
+        self._waking = WakingTime()
+        self._heard_ns = 0
 
     def end(self) -> None:
         """Note a word."""
         self.is_connected = True
-        self._silent_ns = 0
+        self._heard_ns = self._waking.ns
 
     def lose(self) -> None:
         """Note that the other side is lost."""
@@ -37,7 +36,5 @@ class Silence:
 
     def is_too_long(self, now_ns: int) -> bool:
         """Look, at steady time ``now_ns``, whether the other side has said nothing for too long."""
-        if self._looked_ns is not None:
-            self._silent_ns += min(now_ns - self._looked_ns, MOST_NS)
-        self._looked_ns = now_ns
-        return self.is_connected and self._silent_ns > self._patience_ns
+        silent_ns = self._waking.look(now_ns) - self._heard_ns
+        return self.is_connected and silent_ns > self._patience_ns

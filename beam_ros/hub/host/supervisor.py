@@ -15,40 +15,19 @@ import numpy as np
 from beam_ros.arrays import FloatArray
 from beam_ros.hub.contract import Activity, AxisState, HubStatus, Outcome, RequestKind
 from beam_ros.hub.faults import NO_FAULT, Fault, fault
-from beam_ros.hub.host.hold_watch import HoldWatch
-from beam_ros.hub.host.motion_watch import MotionWatch
-from beam_ros.hub.host.rest_watch import RestWatch
+from beam_ros.hub.host.axis_watch import AxisWatch, Found
+from beam_ros.hub.host.missing_messages import MissingMessages
+from beam_ros.hub.host.motion_watch import Measuring
+from beam_ros.hub.host.stop_promise import GONE_NS, StopPromise
+from beam_ros.hub.host.waking_time import WakingTime
 from beam_ros.hub.journal import Journal
 from beam_ros.hub.parameters import AxisParameters
 from beam_ros.hub.ticks import TickBatch
 
-MISSING_NS = 400_000_000
-"""Other messages come for so long, and what is missing does not: then it has stopped."""
-NAP_NS = 20_000_000
-"""Between two looks at the clock no more than this counts as waiting: the process may have been put aside."""
-GONE_NS = 250_000_000
-"""What was not seen for so long is gone."""
-REST_NS = 300_000_000
-"""A stop has acted, and is seen to have acted, within this time and that of the ramp: 50 ms of rest, the batches that
-show it, and a line on which half of the frames are lost."""
-UNANSWERED_NS = 1_000_000_000
-"""A stop of an axis that rests has been answered by then."""
 NO_NUMBERS = 3
 """So many ticks in a row of which the device says no number are a fault."""
-UNSETTLED_BATCHES = 10
-"""The ticks of a change come within so many batches after it was reported."""
-
-
-@dataclasses.dataclass
-class _Stop:
-    """An order to stop; times of waking [ns]."""
-
-    must_rest: bool
-    is_over: bool
-    said_ns: int | None = None
-    rest_by_ns: int = 0
-    is_answered: bool = False
-    is_contradicted: bool = False
+LEISURE_NS = 100_000_000
+"""By so much longer than a device's watchdog and stop ramp take does the host stay silent."""
 
 
 class Supervisor:
@@ -60,6 +39,8 @@ class Supervisor:
         Limits, tick and watchdog.
     journal : Journal
         Is told of faults.
+    measuring : Measuring, optional
+        How well positions are measured; by default as the axis's encoder does.
 
     Attributes
     ----------
@@ -71,67 +52,49 @@ class Supervisor:
         Whether the axis must be homed before it is enabled, whatever the device believes.
     """
 
-    def __init__(self, parameters: AxisParameters, journal: Journal) -> None:
+    def __init__(
+        self, parameters: AxisParameters, journal: Journal, measuring: Measuring | None = None
+    ) -> None:
         self.fault: Fault = NO_FAULT
         self.reason = ""
         self.has_lost_home = False
         self._journal = journal
-        self._motion = MotionWatch(parameters)
-        self._hold = HoldWatch(parameters)
-        ramp_ns = round(parameters.max_speed / parameters.stop_deceleration * 1e9)
-        self._deceleration = parameters.stop_deceleration
-        self._rest = RestWatch(parameters)
-        self._silence_ns = (
-            round(parameters.watchdog_s * 1e9) + ramp_ns + 2 * parameters.batch_ns + 100_000_000
-        )
-        self._missing_ns = max(MISSING_NS, 4 * parameters.batch_ns)
-        self._state: AxisState = "disconnected"
-        self._is_homing = False
-        self._tick = 0
-        self._unsettled: tuple[int, int] | None = None
-        self._looked_ns: int | None = None
-        self._awake_ns = 0
-        self._seen_ns = 0
-        self._without: dict[str, int] = {}
-        self._stop: _Stop | None = None
-        self._broken = ""
-        self._measured_ns = self._told_ns = 0
+        self._watch = AxisWatch(parameters, measuring or Measuring.by_encoder(parameters))
+        self._missing = MissingMessages(parameters)
+        self._waking = WakingTime()
         self._n_no_numbers = 0
-        self._silent_since_ns: int | None = None
+        self._seen_ns = self._told_ns = 0
+        self._stop: StopPromise | None = None
+        self._broken = ""
         self._is_stopped = True
+        ramp_ns = round(parameters.max_speed / parameters.stop_deceleration * 1e9)
+        self._silence_ns = round(parameters.watchdog_s * 1e9) + ramp_ns + 2 * parameters.batch_ns + LEISURE_NS
+        self._silent_since_ns: int | None = None
 
     # What is seen -------------------------------------------------------------------------------------
 
     def connect(self) -> None:
         """Begin a connection."""
-        self._state = "disconnected"
-        self._is_homing = False
-        self._unsettled = None
-        self._without.clear()
-        self._motion.forget()
-        self._hold.forget()
-        self._rest.forget()
+        self._watch.connect()
+        self._missing.forget()
         self._stop = self._silent_since_ns = None
 
     def look(self, now_ns: int) -> None:
-        """Take the time, at least every 20 ms; a process that was put aside did not wait in the meantime."""
-        if self._looked_ns is not None:
-            self._awake_ns += min(max(0, now_ns - self._looked_ns), NAP_NS)
-        self._looked_ns = now_ns
-        if self._stop is not None:
-            self._hold_to(self._stop, now_ns)
+        """Take the steady time [ns], at least every 50 ms; who was put aside did not wait in the meantime."""
+        self._waking.look(now_ns)
+        if self._stop is None:
+            return
+        self._broken = self._stop.broken(
+            self._waking.ns, is_moving=self._is_seen_moving, speed=self._watch.speed
+        )
+        if self._broken:
+            self.report("stop_ignored", self._broken)
+            self._journal.tell("error", f"{self._broken}: the host falls silent")
+            self._stop, self._silent_since_ns = None, now_ns
 
     def hear(self, kind: str) -> None:
         """Take note of a message: ``telemetry``, ``status`` or ``other``; look for what is missing beside it."""
-        for missing in ("telemetry", "status"):
-            if missing == kind:
-                self._without.pop(missing, None)
-                continue
-            since_ns = self._without.setdefault(missing, self._awake_ns)
-            if self._awake_ns - since_ns > self._missing_ns:
-                self.report(
-                    f"{missing}_stopped", f"no {missing} for {(self._awake_ns - since_ns) * 1e-9:.2f} s"
-                )
+        self._report_found(self._missing.hear(kind, self._waking.ns))
 
     def note_applied(self, applied: FloatArray) -> None:
         """Take what the device says that it applied, number or not; what is none goes nowhere else."""
@@ -143,6 +106,25 @@ class Supervisor:
             self._n_no_numbers = 0 if is_number else self._n_no_numbers + 1
             if self._n_no_numbers >= NO_NUMBERS:
                 self.report("not_finite", f"{NO_NUMBERS} ticks in a row without a number of what was applied")
+
+    def forget_motion(self) -> None:
+        """Begin anew: where the hub is has another meaning from now on."""
+        self._watch.forget()
+
+    def note_measured(self, time: float, position: float, *, is_led: bool) -> None:
+        """Take one measurement of a hub without ticks: when [s], where [m], and whether its speed is limited."""
+        found = self._watch.note_measured(
+            self._waking.ns, time, position, is_led=is_led, has_home=not self.has_lost_home
+        )
+        self._report_found(found)
+
+    def note_led(self, now_ns: int, led: float, position: float) -> None:
+        """Take where the host leads the hub and where it was measured last [m]; steady time [ns].
+
+        On its way to rest the hub is held to the promise of the stop.
+        """
+        is_held_to_it = self._stop is None and self.fault is NO_FAULT
+        self._report_found(self._watch.note_led(now_ns, led, position, is_held_to_it=is_held_to_it))
 
     def note_ticks(self, ticks: TickBatch, lost: int | None, *, is_homing: bool) -> None:
         """Take ticks.
@@ -156,60 +138,21 @@ class Supervisor:
         is_homing : bool
             Whether the axis was asked to look for home: positions lose their meaning.
         """
-        if lost is None:
-            return
-        self._rest.add(ticks)
-        self._measured_ns = self._awake_ns
-        if self._is_homing or is_homing:
-            self._motion.forget()
-            return
-        if self._unsettled is not None:
-            tick, patience = self._unsettled
-            n_old = tick - ticks.first_tick
-            if patience > 0 and n_old >= len(ticks):
-                self._unsettled = tick, patience - 1
-                return
-            self._unsettled = None
-            if 0 < n_old < len(ticks):
-                ticks, lost = ticks[n_old:], 0
-        found = self._motion.find(
-            ticks,
-            lost,
-            is_homed=self._state in ("homed", "enabled", "fault") and not self.has_lost_home,
-            is_enabled=self._state == "enabled",
-        )
-        self._hold.add(ticks, lost)
-        if found is not None:
-            self.report(*found)
+        if lost is not None:
+            found = self._watch.note_ticks(
+                self._waking.ns, ticks, lost, is_homing=is_homing, has_home=not self.has_lost_home
+            )
+            self._report_found(found)
 
     def note_status(self, state: AxisState, activity: Activity, tick: int) -> None:
         """Take where the device says that it stands, and the tick that comes next [device ticks]."""
-        is_homing = activity == "homing"
-        if self._is_homing and not is_homing and state == "homed":
+        if self._watch.is_homing and activity != "homing" and state == "homed":
             self.has_lost_home = False
-        self._tick = tick
-        is_first = self._state == "disconnected"
-        if is_first or is_homing != self._is_homing or (state == "enabled") > (self._state == "enabled"):
-            self._unsettle()
-        self._state, self._is_homing = state, is_homing
-        self._told_ns = self._awake_ns
-        self._watch_hold(tick if state == "enabled" and activity == "hold" else None)
-        self._watch_stop(is_over=state != "enabled" and activity == "idle")
-
-    def _watch_hold(self, held_until: int | None) -> None:
-        """Take until which tick the device says that it holds the hub; None where it does not."""
-        if held_until is None:
-            self._hold.forget()
-        elif (crept := self._hold.find(held_until)) is not None:
-            self.report(*crept)
-
-    def _watch_stop(self, *, is_over: bool) -> None:
-        """Take whether the device says that nothing moves the axis any more."""
-        stop = self._stop
-        if stop is not None:
-            stop.is_over = is_over
-            is_late = stop.said_ns is not None and self._awake_ns > stop.rest_by_ns
-            stop.is_contradicted = is_late and stop.is_answered and not is_over
+        self._told_ns = self._waking.ns
+        self._report_found(self._watch.note_status(state, activity, tick))
+        is_over = not self._watch.is_led
+        if self._stop is not None:
+            self._stop.note_status(self._waking.ns, is_over=is_over)
         elif is_over and self.fault is not NO_FAULT:
             self._is_stopped = self._is_stopped or not self._is_seen_moving
 
@@ -221,29 +164,29 @@ class Supervisor:
         """Take note that the device did what it was asked for."""
         if kind == "home":
             self.has_lost_home = False
-            self._unsettle()
+            self._watch.unsettle()
 
     # Stops --------------------------------------------------------------------------------------------
 
     def order_stop(self) -> None:
         """Take note that the host says stop from now on, and nothing else; said again, it gives no more time."""
-        if self._stop is not None:
-            return
-        is_over = self._state != "enabled" and not self._is_homing
-        # A hub whose drive is off may be pushed by hand, whatever it was told.
-        must_rest = not is_over or self.fault is fault("stop_ignored")
-        self._stop = _Stop(must_rest, is_over)
+        if self._stop is None:
+            is_led = self._watch.is_led
+            must_rest = is_led or self.fault is fault("stop_ignored")
+            self._stop = StopPromise(must_rest=must_rest, is_over=not is_led)
 
-    def note_stop_said(self) -> None:
-        """Take note that the stop leaves now: its time begins, which is that of the ramp from the present speed."""
-        if self._stop is not None and self._stop.said_ns is None:
-            ramp_ns = round(1e9 * self._rest.speed / self._deceleration)
-            self._stop.said_ns, self._stop.rest_by_ns = self._awake_ns, self._awake_ns + ramp_ns + REST_NS
+    def note_stop_said(self, ramp_s: float = 0.0) -> None:
+        """Take note that the stop leaves now: its time begins, which is that of the ramp from the present speed.
 
-    def note_stop_answered(self) -> None:
-        """Take note that the device says that it has stopped."""
+        Where the host itself leads the hub to rest, it knows how long that takes, ``ramp_s``.
+        """
         if self._stop is not None:
-            self._stop.is_answered = True
+            self._stop.say(self._waking.ns, max(ramp_s, self._watch.ramp_s))
+
+    def note_stop_answered(self, *, is_over: bool = False) -> None:
+        """Take note that the device says that it has stopped; ``is_over``: and that nothing moves the axis now."""
+        if self._stop is not None:
+            self._stop.answer(is_over=is_over)
 
     @property
     def is_stopping(self) -> bool:
@@ -252,10 +195,10 @@ class Supervisor:
 
     def end_stop(self) -> bool:
         """Return whether the stop has acted: the device says so, and nothing that is seen says otherwise."""
-        stop = self._stop
-        if stop is None or not stop.is_answered or (stop.must_rest and self._is_seen_moving):
-            return False
-        if not stop.is_over and self._awake_ns - self._told_ns < GONE_NS:
+        status_age_ns = self._waking.ns - self._told_ns
+        if self._stop is None or not self._stop.has_acted(
+            is_moving=self._is_seen_moving, status_age_ns=status_age_ns
+        ):
             return False
         self._stop, self._is_stopped = None, True
         return True
@@ -267,30 +210,17 @@ class Supervisor:
 
     @property
     def _is_seen_moving(self) -> bool:
-        """Whether what was measured shows a motion, and is not too old to say so."""
-        return self._rest.is_moving and self._awake_ns - self._measured_ns < GONE_NS
+        return self._watch.is_seen_moving(self._waking.ns)
 
-    def _hold_to(self, stop: _Stop, now_ns: int) -> None:
-        """Look whether a stop has come to its time and the axis not to rest."""
-        if stop.said_ns is None:
-            return
-        waited_s = (self._awake_ns - stop.said_ns) * 1e-9
-        if self._awake_ns > stop.rest_by_ns and stop.must_rest and self._is_seen_moving:
-            seen = f"it moves with {self._rest.speed:.3g} m/s"
-        elif stop.is_contradicted:
-            seen = "the controller says that it is stopped, and that it is enabled or at work"
-        elif self._awake_ns > stop.said_ns + UNANSWERED_NS:
-            seen = "the controller did not answer"
-        else:
-            return
-        self._broken = f"the axis did not come to rest within {waited_s:.2f} s after it was told to: {seen}"
-        self.report("stop_ignored", self._broken)
-        self._journal.tell("error", f"{self._broken}: the host falls silent")
-        self._stop, self._silent_since_ns = None, now_ns
+    # What follows -------------------------------------------------------------------------------------
+
+    def _report_found(self, found: Found) -> None:
+        if found is not None:
+            self.report(*found)
 
     def report(self, name: str, reason: str) -> None:
         """Take a fault and what was seen of it."""
-        self._seen_ns = self._awake_ns
+        self._seen_ns = self._waking.ns
         self.has_lost_home = self.has_lost_home or fault(name).needs_home
         if self.fault is not NO_FAULT:
             return
@@ -299,8 +229,6 @@ class Supervisor:
         self._journal.tell(
             "error", f"{self.fault.sentence}: {reason}; the axis is stopped; {self.fault.remedy}"
         )
-
-    # What follows -------------------------------------------------------------------------------------
 
     @property
     def is_stop_due(self) -> bool:
@@ -311,6 +239,8 @@ class Supervisor:
         """Whether the host is silent now, because the device did not stop when it was told to."""
         if self._silent_since_ns is None:
             return False
+        # A device holds its messages back from a host that is silent: none of them has stopped.
+        self._missing.forget()
         if now_ns - self._silent_since_ns <= self._silence_ns:
             return True
         self._silent_since_ns = None
@@ -334,11 +264,11 @@ class Supervisor:
             return Outcome(False, f"cannot {kind}: the axis is fault; clear the fault first ({self.reason})")
         if kind != "clear_fault":
             return None
-        if self._awake_ns - self._seen_ns < GONE_NS or not self._is_stopped:
+        if self._waking.ns - self._seen_ns < GONE_NS or not self._is_stopped:
             still = "its cause is still there" if self._is_stopped else "the axis has not been seen at rest"
             return Outcome(False, f"cannot clear the fault: {still}: {self.reason}; {self.fault.remedy}")
         self.fault, self.reason = NO_FAULT, ""
-        self._motion.forget()
+        self._watch.forget_commands()
         return None if state == "fault" else Outcome(True, "fault cleared")
 
     def seen(self, status: HubStatus) -> HubStatus:
@@ -354,9 +284,3 @@ class Supervisor:
         if self.has_lost_home and status.state == "homed":
             return dataclasses.replace(status, state="identified")
         return status
-
-    def _unsettle(self) -> None:
-        """Take no notice of the motion before the newest status: positions or commands meant something else."""
-        self._unsettled = self._tick, UNSETTLED_BATCHES
-        self._motion.forget()
-        self._hold.forget()

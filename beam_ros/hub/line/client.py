@@ -12,6 +12,7 @@ silent and the device's watchdog stops the axis.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 
 from beam_ros.hub.contract import (
     AxisState,
@@ -21,11 +22,10 @@ from beam_ros.hub.contract import (
     HubStatus,
     Outcome,
     RequestKind,
-    SampleBatch,
     SequenceChunk,
 )
 from beam_ros.hub.errors import HubProtocolError
-from beam_ros.hub.faults import Fault, fault, fault_of
+from beam_ros.hub.faults import Fault, fault_of
 from beam_ros.hub.gate.beam_guard import BeamGuard
 from beam_ros.hub.gate.command_gate import CommandGate
 from beam_ros.hub.host.pulse import HostPulse
@@ -50,6 +50,28 @@ COUNTERS = (
     "watchdog_proved",
     "resent_samples",
 )
+
+
+@dataclass
+class _Seen:
+    """What the device said last.
+
+    Attributes
+    ----------
+    status : Status or None
+        The newest.
+    told_state : str or None
+        The newest state that is in the log.
+    changed_tick : int
+        Since when it is in its state [device ticks].
+    held_at : float or None
+        The position that it applied last in this state, in position mode [m].
+    """
+
+    status: protocol.Status | None = None
+    told_state: AxisState | None = None
+    changed_tick: int = 0
+    held_at: float | None = None
 
 
 class HubClient:
@@ -91,9 +113,7 @@ class HubClient:
             parameters, self._device_clock, self._journal, self._supervisor.report
         )
         self._clock: HostClock | None = None
-        self._device: protocol.Status | None = None
-        self._told_state: AxisState | None = None
-        self._newest_applied: SampleBatch | None = None
+        self._seen = _Seen()
 
     # The Hub protocol ---------------------------------------------------------------------------------
 
@@ -118,7 +138,9 @@ class HubClient:
             return self._requests.refuse(kind, self._connection.reason)
         if kind in STOPS:
             return self._stop(kind, f"{kind} was asked for")
-        answer = self._supervisor.answer(kind, self._device.state if self._device else "disconnected")
+        answer = self._supervisor.answer(
+            kind, self._seen.status.state if self._seen.status else "disconnected"
+        )
         # What is asked while the connection comes up waits for it; that takes a second.
         return self._requests.begin(kind) if answer is None else self._requests.answer(answer)
 
@@ -151,8 +173,6 @@ class HubClient:
         self._journal.watch_clock(clock, now)
         batches = self._stamping.take_batches()
         self._gate.follow(batches)
-        if batches:
-            self._newest_applied = batches[-1][0]
         status = self._status(now.steady_ns)
         now_ns = clock.stamp_ns(now.steady_ns)
         sequence = self._gate.poll(now_ns, status.state, self._held_position(status), status.velocity)
@@ -273,7 +293,8 @@ class HubClient:
             for request in self._requests.due(now_ns, stops_alone=True):
                 yield protocol.Request(*request)
             return
-        setpoint = self._setpoints.due(now_ns, self._device.setpoint_number if self._device else None)
+        status = self._seen.status
+        setpoint = self._setpoints.due(now_ns, status.setpoint_number if status else None)
         if setpoint is not None:
             yield protocol.Setpoint(*setpoint)
         announcement = self._stream.announcement(now_ns)
@@ -304,11 +325,8 @@ class HubClient:
     def _on_identity(self, identity: protocol.Identity, received_ns: int) -> None:
         is_new_boot = not self._connection.is_same_boot(identity)
         news = self._connection.note_identity(identity, received_ns)
-        if news == "lost":
-            cause = fault("restarted" if is_new_boot else "session_lost")
-            self._forget_session(cause.sentence)
-            self.line_opened(received_ns)
-            self._journal.tell("error", f"{cause.sentence}; {cause.remedy}")
+        if news in ("lost", "restarted"):
+            self._forget_session(self._connection.reason)
         elif news == "new":
             self._device_clock.connect(received_ns, is_new_boot=is_new_boot)
             self._stamping.connect(is_new_boot=is_new_boot)
@@ -345,10 +363,16 @@ class HubClient:
         for ticks in telemetry.ticks.finite_parts():
             lost = self._stamping.add(ticks, received_ns, self._clock)
             self._supervisor.note_ticks(ticks, lost, is_homing=self._requests.has("home"))
+            if self._parameters.command_mode == "position" and ticks.end_tick > self._seen.changed_tick:
+                self._seen.held_at = float(ticks.applied[-1])
         self._end_stops()
 
     def _on_status(self, status: protocol.Status, received_ns: int) -> None:
-        before, self._device = self._device, status
+        seen, before = self._seen, self._seen.status
+        seen.status = status
+        if before is None or status.state != before.state:
+            # What was applied until now counts from elsewhere, or was followed by nothing.
+            seen.changed_tick, seen.held_at = status.tick, None
         if before is None or status.fault_number != before.fault_number:
             self._supervisor.note_fault(fault_of(status.fault_number))
         self._supervisor.note_status(status.state, status.activity, status.tick)
@@ -372,8 +396,8 @@ class HubClient:
             status.sequence_reason,
             received_ns,
         )
-        if self._connection.is_up and status.state != self._told_state:
-            self._told_state = status.state
+        if self._connection.is_up and status.state != seen.told_state:
+            seen.told_state = status.state
             text = f"{status.state}: {status.reason}" if status.reason else status.state
             self._journal.add(self._gate.note("state", text))
 
@@ -397,23 +421,21 @@ class HubClient:
 
     def _held_position(self, status: HubStatus) -> float:
         """Return where the device holds the hub [m]: what it applied, where it says so; a servo lags behind it."""
-        applied = self._newest_applied
-        if applied is None or applied.positions is None:
-            return status.position
-        return float(applied.positions[-1])
+        held_at = self._seen.held_at
+        return status.position if held_at is None else held_at
 
     def _forget_session(self, reason: str) -> None:
         """End all that was going on with the device, because it cannot be reached any more."""
         self._requests.fail_all(reason)
         self._setpoints.drop()
         self._stream.lose(reason)
-        self._device = self._told_state = self._newest_applied = None
+        self._seen = _Seen()
 
     def _status(self, now_ns: int | None = None) -> HubStatus:
         counters = dict(self._journal.counters)
         if now_ns is not None:
             counters.update(self._device_clock.counters(now_ns))
-        device = self._device
+        device = self._seen.status
         if not self._connection.is_up or device is None:
             connection = self._connection
             return HubStatus(fault=connection.fault, reason=connection.reason, counters=counters)

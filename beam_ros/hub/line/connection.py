@@ -3,6 +3,10 @@
 A connection comes up in steps. The host greets; the device says who it is; the host hands it the rig's limits
 and looks at what it will obey; then the host falls silent on purpose, at rest and disabled, and looks whether
 the device notices in time. Only after that does the axis take commands.
+
+A device has one session: the newest greeting takes it. A host that loses its session without a restart of the device
+may have a rival, and waits before it greets again, twice as long each time, until each leaves the other the time to
+come up.
 """
 
 from __future__ import annotations
@@ -15,11 +19,12 @@ from typing import Literal
 from beam_ros.hub.faults import NO_FAULT, Fault, fault
 from beam_ros.hub.journal import Journal
 from beam_ros.hub.line import protocol
+from beam_ros.hub.line.greeting import Greeting
+from beam_ros.hub.line.watchdog_proof import WatchdogProof
 from beam_ros.hub.parameters import AxisParameters, LinkParameters
 
 ConnectionState = Literal["down", "greeting", "limits", "proof", "up"]
 
-HELLO_NS = 200_000_000
 REFUSED_NS = 2_000_000_000
 """A device that was refused is greeted again after this time: somebody may have mended it."""
 LIMITS_AGAIN_NS = 100_000_000
@@ -29,14 +34,8 @@ NO_ANSWER_NS = 3_000_000_000
 """A port where nobody answers the greeting for this long is opened anew."""
 STEP_NS = 3_000_000_000
 """A device that rests and still has not set its limits after this time will not do it."""
-COMPLAINT_NS = 2_000_000_000
-"""A greeting that nobody answers for this long is reported."""
 SINGLE_PRECISION = 1e-6
 """Limits may differ by this share: a device may calculate with 24 bits."""
-PROOF_TRIALS = 3
-"""A busy host may miss when the silence began; a device that has no watchdog misses every time."""
-PROOF_SLACK_NS = 100_000_000
-"""What the way of the last frame and of the status may add to the watchdog's time."""
 
 
 class Connection:
@@ -70,26 +69,20 @@ class Connection:
         self.reason = "not connected yet"
         self.round_trip_ns = 0
         self._parameters = parameters
-        self._wanted = protocol.DeviceLimits.of(parameters)
         self._link = link
         self._journal = journal
-        self._opened_ns = 0
         self._heard_ns = 0
-        self._last_hello_ns: int | None = None
-        self._next_hello_ns = 0
-        self._n_unanswered = 0
-        self._boot_id: int | None = None
-        self._name = ""
+        self._greeting = Greeting()
+        self._proof = WatchdogProof(parameters)
+        self._device: protocol.Identity | None = None
         self._told: Fault = NO_FAULT
-        self._is_at_rest = False
         self._rested_ns: int | None = None
         self._last_set_ns: int | None = None
-        self._tick = 0
-        self._silences = 0
-        self._proof_began_ns: int | None = None
-        self._proof_tick = 0
-        self._proof_silences = 0
-        self._n_trials = 0
+        self._up_ns: int | None = None
+
+    @property
+    def _wanted(self) -> protocol.DeviceLimits:
+        return protocol.DeviceLimits.of(self._parameters)
 
     @property
     def is_up(self) -> bool:
@@ -104,18 +97,18 @@ class Connection:
     @property
     def must_be_silent(self) -> bool:
         """Whether the host says nothing, to see whether the device notices."""
-        return self._proof_began_ns is not None
+        return self._proof.is_silent
 
     def open(self, now_ns: int) -> None:
         """Begin to greet the device on the line."""
-        self._greet_again(now_ns, now_ns)
+        self._greet_again(now_ns)
         self._heard_ns = now_ns
-        self._n_unanswered = 0
+        self._greeting.n_unanswered = 0
 
     def lose(self, cause: Fault, reason: str) -> None:
         """Take note that there is no line or no session any more."""
         was_in_session, self.state = self.is_in_session, "down"
-        self._proof_began_ns = None
+        self._proof.give_up()
         if was_in_session or cause is not fault("controller_silent"):
             # Who never answered is no news when the port is opened anew.
             self._complain(cause, reason)
@@ -131,17 +124,16 @@ class Connection:
         # A device that stopped talking to a silent host is heard again a round trip after the host's next word.
         patience_ns = SILENCE_NS + self.round_trip_ns
         if self.state == "proof":
-            patience_ns += self._proof_patience_ns
+            patience_ns += self._proof.patience_ns(self.round_trip_ns)
         elif not self.is_in_session:
             patience_ns = NO_ANSWER_NS
-        since_ns = max(self._heard_ns, self._next_hello_ns, talking_since_ns)
+        since_ns = max(self._heard_ns, self._greeting.next_ns, talking_since_ns)
         return now_ns - since_ns > patience_ns
 
     def words(self, now_ns: int) -> Iterator[protocol.Message]:
         """Yield what brings the connection up, where it is due now."""
         if self.state == "greeting":
-            if self._is_hello_due(now_ns):
-                yield protocol.Hello()
+            yield from self._greet(now_ns)
         elif self.state == "limits" and self._rested_ns is not None:
             if now_ns - self._rested_ns > STEP_NS:
                 self._refuse(now_ns, fault("limits_not_obeyed"), "the controller does not answer SetLimits")
@@ -153,44 +145,59 @@ class Connection:
 
     # What the device says -----------------------------------------------------------------------------
 
-    def note_identity(self, identity: protocol.Identity, now_ns: int) -> Literal["new", "same", "lost"]:
-        """Take the device's name; say whether a session begins, goes on, or was lost.
+    def note_identity(
+        self, identity: protocol.Identity, now_ns: int
+    ) -> Literal["new", "same", "restarted", "lost"]:
+        """Take the device's name; say whether a session begins, goes on, or is gone, by a restart or without one.
 
         A greeting that was repeated before the device could answer is answered twice: the second answer says
-        nothing new.
+        nothing new. An answer to no greeting of this host's is somebody else's, or ends the session.
         """
-        is_same_boot = identity.boot_id == self._boot_id
+        is_same_boot, greeting = self.is_same_boot(identity), self._greeting
+        if self.is_in_session and not (is_same_boot and greeting.n_unanswered > 0):
+            self._lose_session(now_ns, is_same_boot=is_same_boot)
+            return "lost" if is_same_boot else "restarted"
+        if greeting.n_unanswered == 0:
+            return "same"
+        greeting.n_unanswered -= 1
         if self.is_in_session:
-            if is_same_boot and self._n_unanswered > 0:
-                self._n_unanswered -= 1
-                return "same"
-            return "lost"
-        self._n_unanswered -= 1
+            return "same"
         objection = _objection(identity, self._parameters)
         if objection is not None:
             self._refuse(now_ns, *objection)
             return "same"
         self.state, self.reason = "limits", "the controller is being given its limits"
-        self._name = identity.name
-        self._boot_id = identity.boot_id
+        self._device = identity
         self._rested_ns = self._last_set_ns = None
-        self._is_at_rest = False
-        self._n_trials = 0
+        self._proof.restart()
         self._journal.counters["watchdog_proved"] = 0
         return "new"
 
     def is_same_boot(self, identity: protocol.Identity) -> bool:
         """Whether the device has not restarted since the last session."""
-        return identity.boot_id == self._boot_id
+        return self._device is not None and identity.boot_id == self._device.boot_id
+
+    def _lose_session(self, now_ns: int, *, is_same_boot: bool) -> None:
+        """Greet anew: at once a device that restarted, after a pause one that may have another host."""
+        greeting, longest_ns = self._greeting, self._proof.longest_ns(self.round_trip_ns)
+        if not is_same_boot or (self._up_ns is not None and now_ns - self._up_ns > longest_ns):
+            greeting.pause_ns, self._told = 0, NO_FAULT
+        is_rivalry = greeting.pause_ns > 0
+        # Up to the time in which the other host comes up at its slowest.
+        wait_ns = greeting.leave_to_another(longest_ns) if is_same_boot else 0
+        cause = fault("other_host" if is_rivalry else "session_lost" if is_same_boot else "restarted")
+        self._greet_again(now_ns, wait_ns)
+        self._heard_ns = now_ns
+        greeting.n_unanswered = 0
+        self._complain(cause, f"{cause.sentence}; {cause.remedy}")
 
     def note_status(self, status: protocol.Status, now_ns: int) -> None:
         """Follow the device on the way up: is it at rest, has it noticed the host's silence?"""
-        self._tick, self._silences = status.tick, status.silences
-        self._is_at_rest = status.activity == "idle" and status.state != "enabled"
-        if self.state == "limits" and self._is_at_rest and self._rested_ns is None:
+        noticed_ns = self._proof.note_status(status)
+        if self.state == "limits" and self._proof.is_at_rest and self._rested_ns is None:
             self._rested_ns = now_ns
-        if self.must_be_silent and status.silences != self._proof_silences:
-            self._judge(now_ns, (status.silence_tick - self._proof_tick) * self._parameters.period_ns)
+        if noticed_ns is not None:
+            self._judge(now_ns, noticed_ns)
 
     def note_limits(self, obeyed: protocol.DeviceLimits, now_ns: int) -> None:
         """Take the device's answer to what it was told to obey."""
@@ -202,38 +209,24 @@ class Connection:
         elif self._link.prove_watchdog:
             self.state, self.reason = "proof", "the controller's watchdog is being proved"
         else:
-            self._establish()
+            self._establish(now_ns)
 
     # The proof of the watchdog ------------------------------------------------------------------------
 
-    @property
-    def _proof_patience_ns(self) -> int:
-        """How long a device is given that does not notice the silence."""
-        return 2 * self._wanted.watchdog_ns + PROOF_SLACK_NS + self.round_trip_ns
-
     def _prove(self, now_ns: int) -> Iterator[protocol.Message]:
         """Say a last word and be silent, or give a trial up that the device let pass."""
-        if self._proof_began_ns is None:
-            if self._is_at_rest:
-                self._proof_began_ns = now_ns
-                self._proof_tick, self._proof_silences = self._tick, self._silences
-                yield protocol.Heartbeat()
-        elif now_ns - self._proof_began_ns > self._proof_patience_ns:
-            self._judge(now_ns, now_ns - self._proof_began_ns)
+        if self._proof.begin(now_ns):
+            yield protocol.Heartbeat()
+        elif (overdue_ns := self._proof.overdue_ns(now_ns, self.round_trip_ns)) is not None:
+            self._judge(now_ns, overdue_ns)
 
     def _judge(self, now_ns: int, elapsed_ns: int) -> None:
-        """Compare the silence that the device noticed with its watchdog's time."""
-        self._proof_began_ns = None
-        # Between the newest tick that the host knew and the last word's arrival lies the line's round trip.
-        allowed_ns = (
-            self._wanted.watchdog_ns + 2 * self._parameters.batch_ns + PROOF_SLACK_NS + self.round_trip_ns
-        )
-        if 0 <= elapsed_ns <= allowed_ns:
+        """Take the silence that the device noticed, or in which it noticed nothing."""
+        is_proved = self._proof.judge(elapsed_ns, self.round_trip_ns)
+        if is_proved:
             self._journal.counters["watchdog_proved"] = 1
-            self._establish()
-            return
-        self._n_trials += 1
-        if self._n_trials >= PROOF_TRIALS:
+            self._establish(now_ns)
+        elif is_proved is not None:
             self._refuse(
                 now_ns,
                 fault("watchdog_unproved"),
@@ -243,39 +236,37 @@ class Connection:
 
     # Inside -------------------------------------------------------------------------------------------
 
-    def _establish(self) -> None:
+    def _establish(self, now_ns: int) -> None:
+        assert self._device is not None
         self.state, self.fault, self.reason = "up", NO_FAULT, ""
-        self._told = NO_FAULT
+        self._up_ns = now_ns
+        if self._greeting.pause_ns == 0:
+            # Of a rival is told once, however often each of the two comes up.
+            self._told = NO_FAULT
         self._journal.counters["connections"] += 1
-        self._journal.tell("info", f"connected: {self._name} on {self._link.serial_port}")
+        self._journal.tell("info", f"connected: {self._device.name} on {self._link.serial_port}")
 
-    def _greet_again(self, now_ns: int, hello_ns: int) -> None:
+    def _greet_again(self, now_ns: int, wait_ns: int = 0) -> None:
         self.state = "greeting"
         self.fault, self.reason = fault("no_answer"), "the controller has not answered yet"
-        self._opened_ns = now_ns
-        self._last_hello_ns = None
-        self._next_hello_ns = hello_ns
-        self._proof_began_ns = None
+        self._greeting.begin(now_ns, wait_ns)
+        self._up_ns = None
+        self._proof.give_up()
 
-    def _is_hello_due(self, now_ns: int) -> bool:
-        if now_ns < self._next_hello_ns:
-            return False
-        if now_ns - max(self._opened_ns, self._next_hello_ns) > COMPLAINT_NS:
+    def _greet(self, now_ns: int) -> Iterator[protocol.Message]:
+        if self._greeting.is_in_vain(now_ns):
             self._complain(
                 fault("no_answer"),
                 f"nobody answers on {self._link.serial_port} at {self._link.serial_baud} baud: "
                 f"expected a controller that speaks protocol version {protocol.VERSION}; check serial.port, "
                 "serial.baud, and that the controller has power and the firmware",
             )
-        if self._last_hello_ns is not None and now_ns - self._last_hello_ns < HELLO_NS:
-            return False
-        self._last_hello_ns = now_ns
-        self._n_unanswered += 1
-        return True
+        if self._greeting.is_due(now_ns):
+            yield protocol.Hello()
 
     def _refuse(self, now_ns: int, cause: Fault, reason: str) -> None:
         """Leave this device alone for a while, and say once why."""
-        self._greet_again(now_ns, now_ns + REFUSED_NS)
+        self._greet_again(now_ns, REFUSED_NS)
         self._complain(cause, f"{reason}; {cause.remedy}")
 
     def _complain(self, cause: Fault, text: str) -> None:

@@ -45,22 +45,25 @@ def cobs_decode(data: bytes) -> bytes:
     HubProtocolError
         A block reaches beyond the end, or a zero byte stands inside.
     """
-    out = bytearray()
-    place = 0
-    while place < len(data):
-        code = data[place]
-        end = place + code
-        if code == 0 or end > len(data):
-            raise HubProtocolError(
-                f"COBS block of {code} bytes at {place} of {len(data)}: expected 1 to {len(data) - place}; "
-                "the line lost or changed bytes"
-            )
-        out += data[place + 1 : end]
-        if code < 255 and end < len(data):
-            out.append(0)
-        place = end
     if _DELIMITER in data:
         raise HubProtocolError("zero byte inside a frame; the line changed bytes")
+    # Every code stands where the zero before its block was, but for those after a full block.
+    out = bytearray(data)
+    superfluous = [0]
+    place, n_bytes = 0, len(data)
+    while place < n_bytes:
+        out[place] = 0
+        code = data[place]
+        place += code
+        if code == 255:
+            superfluous.append(place)
+    if place > n_bytes:
+        raise HubProtocolError(
+            f"COBS block of {code} bytes at {place - code} of {n_bytes}: expected 1 to {n_bytes - place + code}; "
+            "the line lost or changed bytes"
+        )
+    for place in reversed(superfluous):
+        del out[place : place + 1]
     return bytes(out)
 
 

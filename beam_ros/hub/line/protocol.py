@@ -91,7 +91,7 @@ class DeviceLimits:
         """
         own = vars(DeviceLimits.of(widest))
         least = {name: min(wanted, own[name]) for name, wanted in vars(self).items()}
-        if any(math.isnan(wanted) for wanted in vars(self).values()):
+        if not all(math.isfinite(wanted) for wanted in vars(self).values()):
             least = vars(DeviceLimits())
         watchdog_s = least.pop("watchdog_ns") * 1e-9
         return replace(widest, watchdog_s=watchdog_s, **least)
@@ -431,6 +431,24 @@ _TICK_BATCH = _Field(_pack_ticks, _take_ticks)
 _FLAG = _one_of((False, True))
 
 
+def _named(field: _Field) -> _Field:
+    """Return a field whose 0 stands for none, so that no message may have it."""
+
+    def check(number: int) -> int:
+        if number == 0:
+            raise ValueError("number 0, which stands for none: expected 1 to 65535")
+        return number
+
+    def take(data: bytes, at: int) -> tuple[int, int]:
+        number, end = field.take(data, at)
+        return check(number), end
+
+    return _Field(lambda number: field.pack(check(number)), take)
+
+
+_NAME = _named(_U16)
+
+
 @dataclass(frozen=True)
 class _Layout:
     """The fields of a message in their order.
@@ -460,8 +478,8 @@ _LAYOUTS: dict[int, _Layout] = {
     HEARTBEAT: _Layout(Heartbeat),
     CLOCK_QUERY: _Layout(ClockQuery, (_U16,)),
     REQUEST: _Layout(Request, (_U16, _one_of(REQUEST_KINDS))),
-    SETPOINT: _Layout(Setpoint, (_U16, _F64)),
-    ARM: _Layout(Arm, (_U16, _U64, _U32)),
+    SETPOINT: _Layout(Setpoint, (_NAME, _F64)),
+    ARM: _Layout(Arm, (_NAME, _U64, _U32)),
     SAMPLES: _Layout(Samples, (_U16, _U32, _SAMPLES)),
     GOODBYE: _Layout(Goodbye),
     SET_LIMITS: _Layout(SetLimits, (_U16, _LIMITS)),

@@ -9,8 +9,6 @@ from __future__ import annotations
 import threading
 import time
 
-import numpy as np
-
 from beam_ros.hub.contract import (
     HostTime,
     HubCapabilities,
@@ -23,16 +21,16 @@ from beam_ros.hub.contract import (
     SequenceReport,
 )
 from beam_ros.hub.errors import HubConnectionError
-from beam_ros.hub.faults import NO_FAULT, Fault, fault
-from beam_ros.hub.host.motion_watch import CertainMotion
-from beam_ros.hub.host.receipt_clock import ReceiptClock
+from beam_ros.hub.host.answers import Answers
+from beam_ros.hub.host.contact import Contact
+from beam_ros.hub.host.motion_watch import Measuring
 from beam_ros.hub.host.silence import Silence
 from beam_ros.hub.host.supervisor import Supervisor
-from beam_ros.hub.host_clock import HostClock
 from beam_ros.hub.journal import Journal
 from beam_ros.hub.line.transport import SerialTransport
 from beam_ros.hub.link_parameters import CsvColumns
-from beam_ros.hub.links.csv_lines import CsvReader
+from beam_ros.hub.links.csv_measurements import CsvMeasurements
+from beam_ros.hub.links.place import HubPlace
 from beam_ros.hub.parameters import AxisParameters, LinkParameters
 
 READ_S = 0.05
@@ -72,26 +70,20 @@ class CsvHub:
     """
 
     def __init__(self, parameters: AxisParameters, link: LinkParameters, columns: CsvColumns) -> None:
-        self._columns = columns
         self._link = link
         self._transport = SerialTransport(link.serial_port, link.serial_baud, FLOOD_BYTES)
-        self._reader = CsvReader()
         self._journal = Journal(["bad_lines", "unstamped_lines", "connections"])
-        self._supervisor = Supervisor(parameters, self._journal)
         jitter = CLOCK_JITTER_S if columns.clock else RECEIPT_JITTER_S
-        self._motion = CertainMotion(parameters, parameters.max_following_error, jitter)
+        most = parameters.max_following_error
+        self._supervisor = Supervisor(parameters, self._journal, Measuring(most, most, jitter))
+        self._lines = CsvMeasurements(columns, self._supervisor.report)
         self._lock = threading.Lock()
-        self._stamps: HostClock | None = None
-        self._device_clock = self._new_clock()
         self._measured: list[SampleBatch] = []
         self._sequences: list[SequenceReport] = []
-        self._completed: list[tuple[int, Outcome]] = []
-        self._n_requests = 0
+        self._answers = Answers()
         self._silence = Silence(SILENCE_NS)
-        self._last_stamp_ns = 0
-        self._position = self._velocity = 0.0
-        self._fault: Fault = fault("no_answer")
-        self._reason = "no line has come yet"
+        self._place = HubPlace()
+        self._contact = Contact(self._journal, "no line has come yet")
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._run, name="csv-board", daemon=True)
         self._thread.start()
@@ -103,10 +95,10 @@ class CsvHub:
             name="csv",
             modes=(),
             is_buffered=False,
-            has_device_clock=bool(self._columns.clock),
+            has_device_clock=self._lines.has_clock,
             has_watchdog=False,
             keeps_limits=False,
-            shortcomings=_SHORTCOMINGS + (_CLOCK if self._columns.clock else _NO_CLOCK),
+            shortcomings=_SHORTCOMINGS + (_CLOCK if self._lines.has_clock else _NO_CLOCK),
         )
 
     # The Hub protocol ---------------------------------------------------------------------------------
@@ -114,13 +106,12 @@ class CsvHub:
     def request(self, kind: RequestKind) -> int:
         """Clear a fault that was seen here; refuse the rest: the board takes no commands."""
         with self._lock:
-            self._n_requests += 1
-            answer = None
+            number, answer = self._answers.begin(), None
             if kind == "clear_fault":
                 answer = self._supervisor.answer(kind, "identified")
             outcome = answer or Outcome(False, f"cannot {kind.replace('_', ' ')}: {REFUSAL}")
-            self._completed.append((self._n_requests, outcome))
-            return self._n_requests
+            self._answers.add(number, outcome.success, outcome.message)
+            return number
 
     def setpoint(self, stamp_ns: int, value: float, now: HostTime) -> Outcome:
         """Refuse: the board takes no commands."""
@@ -139,22 +130,20 @@ class CsvHub:
     def poll(self, now: HostTime) -> HubReport:
         """Collect what the board printed."""
         with self._lock:
-            if self._stamps is None:
-                self._stamps = HostClock(now)
-            self._journal.watch_clock(self._stamps, now)
-            self._journal.counters["bad_lines"] = self._reader.n_bad
+            self._journal.watch_clock(self._lines.clock(now), now)
+            self._journal.counters["bad_lines"] = self._lines.n_bad
+            self._journal.counters["unstamped_lines"] = self._lines.n_unstamped
             self._look_for_silence(now.steady_ns)
             self._supervisor.look(now.steady_ns)
             self._supervisor.note_status("identified", "idle", 0)
             measured, self._measured = self._measured, []
             sequences, self._sequences = self._sequences, []
-            completed, self._completed = self._completed, []
             return HubReport(
                 applied=[],
                 measured=measured,
                 sequences=sequences,
                 clock=[],
-                completed=completed,
+                completed=self._answers.take(),
                 status=self._status(),
                 events=self._journal.take_events(),
             )
@@ -165,10 +154,11 @@ class CsvHub:
         self._thread.join(timeout=2.0)
 
     def _status(self) -> HubStatus:
-        counters = dict(self._journal.counters)
-        if self._fault is not NO_FAULT:
-            return HubStatus("disconnected", fault=self._fault, reason=self._reason, counters=counters)
-        status = HubStatus("identified", self._position, self._velocity, counters=counters)
+        if not self._contact.is_made:
+            return self._contact.status
+        status = HubStatus(
+            "identified", self._place.position, self._place.velocity, counters=dict(self._journal.counters)
+        )
         return self._supervisor.seen(status)
 
     # The thread ----------------------------------------------------------------------------------------
@@ -179,9 +169,8 @@ class CsvHub:
             try:
                 self._transport.open()
                 with self._lock:
-                    self._reader.reset()
-                    self._device_clock = self._new_clock()
-                    self._motion.forget()
+                    self._lines.reset()
+                    self._supervisor.forget_motion()
                 while not self._ending.is_set():
                     data, came_ns = self._transport.read(READ_S)
                     with self._lock:
@@ -194,69 +183,33 @@ class CsvHub:
                 self._ending.wait(RECONNECT_S)
         self._transport.dispose()
 
-    def _new_clock(self) -> ReceiptClock:
-        columns = self._columns
-        modulus = 1 << columns.clock_bits if columns.clock_bits else 0
-        return ReceiptClock(columns.clock_tick * 1e9, modulus, self._supervisor.report)
-
     def _lose(self, name: str, reason: str) -> None:
-        if self._silence.is_connected or self._fault.name != name:
-            self._journal.tell("error", reason)
         self._silence.lose()
-        self._fault, self._reason = fault(name), reason
+        self._contact.lose(name, reason)
 
     def _look_for_silence(self, now_ns: int) -> None:
-        if self._silence.is_too_long(now_ns):
+        """Look whether nothing comes that can be read; a board that prints something else is not silent."""
+        is_lost = self._silence.is_too_long(now_ns)
+        if not is_lost and self._contact.is_made:
+            return
+        wanted = f"{self._lines.n_columns} numbers"
+        # One line alone may be what a pulled cable has cut.
+        if self._lines.n_bad_in_a_row > 1:
             self._lose(
-                "controller_silent",
-                f"no line with {self._columns.last} numbers came for 1 s; check the board",
+                "status_unreadable",
+                f"lines come, such as {self._lines.bad_line[:60]!r}: expected {wanted} in each; correct serial.baud "
+                "and the csv.*_column parameters",
             )
+        elif is_lost:
+            self._lose("controller_silent", f"no line with {wanted} came for 1 s; check the board")
 
     def _take(self, data: bytes, came_ns: int) -> None:
-        for row in self._reader.feed(data):
-            if len(row) < self._columns.last:
-                self._reader.n_bad += 1
-                continue
-            self._note_row(row, came_ns)
-
-    def _note_row(self, row: tuple[float, ...], came_ns: int) -> None:
-        columns = self._columns
-        if not self._silence.is_connected:
-            self._fault, self._reason = NO_FAULT, ""
-            self._journal.counters["connections"] += 1
-            self._journal.tell("info", f"connected: lines of {len(row)} numbers on {self._link.serial_port}")
-        self._silence.end()
-        scale = columns.position_scale
-        self._position = row[columns.position - 1] * scale
-        self._velocity = row[columns.velocity - 1] * scale if columns.velocity else 0.0
-        stamp_ns = self._stamp_ns(row, came_ns)
-        if stamp_ns is None or stamp_ns <= self._last_stamp_ns:
-            self._journal.counters["unstamped_lines"] += 1
-            return
-        self._last_stamp_ns = stamp_ns
-        # Who moves it, and from where it counts, nobody says here: its travel is not judged.
-        time_s, position = np.array([stamp_ns * 1e-9]), np.array([self._position])
-        found = self._motion.find(time_s, position, is_homed=False, is_enabled=True)
-        if found is not None:
-            self._supervisor.report(*found)
-        effort = row[columns.effort - 1] * columns.effort_scale if columns.effort else None
-        self._measured.append(
-            SampleBatch(
-                stamp_ns,
-                0,
-                self._device_clock.epoch,
-                positions=np.array([self._position]),
-                velocities=np.array([self._velocity]) if columns.velocity else None,
-                efforts=None if effort is None else np.array([effort]),
-            )
-        )
-
-    def _stamp_ns(self, row: tuple[float, ...], came_ns: int) -> int | None:
-        if self._stamps is None:
-            return None
-        if not self._columns.clock:
-            return self._stamps.stamp_ns(came_ns)
-        device_ns = self._device_clock.add(round(row[self._columns.clock - 1]), came_ns)
-        if device_ns is None or not self._device_clock.is_usable:
-            return None
-        return self._stamps.stamp_ns(self._device_clock.host_ns(device_ns))
+        for line in self._lines.feed(data, came_ns):
+            if not self._contact.is_made:
+                self._contact.make(f"lines of {line.n_numbers} numbers on {self._link.serial_port}")
+            self._silence.end()
+            self._place = HubPlace(line.position, line.velocity or 0.0)
+            if line.batch is not None:
+                # Who moves it, and from where it counts, nobody says here: its travel is not judged.
+                self._supervisor.note_measured(line.batch.stamp_ns * 1e-9, line.position, is_led=True)
+                self._measured.append(line.batch)

@@ -40,10 +40,13 @@ class CsvReader:
     ----------
     n_bad : int
         Lines that were no rows.
+    bad_line : bytes
+        The last of them.
     """
 
     def __init__(self) -> None:
         self.n_bad = 0
+        self.bad_line = b""
         self._rest = b""
         self._is_whole = False
         self._count = 0
@@ -53,12 +56,17 @@ class CsvReader:
         self._rest = b""
         self._is_whole = False
 
+    def reject(self, line: bytes) -> None:
+        """Count a line that says nothing."""
+        self.n_bad += 1
+        self.bad_line = line
+
     def feed(self, data: bytes) -> list[tuple[float, ...]]:
         """Take bytes; return the rows that they complete."""
         *lines, self._rest = (self._rest + data).split(b"\n")
         if len(self._rest) > MAX_LINE:
+            self.reject(self._rest)
             self._rest, self._is_whole = b"", False
-            self.n_bad += 1
         rows = []
         for line in lines:
             row = split_row(line) if self._is_whole and len(line) <= MAX_LINE else None
@@ -66,7 +74,7 @@ class CsvReader:
                 self._count = len(row)
                 rows.append(row)
             elif self._is_whole and line.strip():
-                self.n_bad += 1
+                self.reject(line)
                 # A heading or a first damaged row must not decide for ever how long a row is.
                 self._count = 0 if row is not None else self._count
             self._is_whole = True

@@ -2,14 +2,15 @@
 
 ``HostAxis`` keeps what the suite's firmware keeps for itself elsewhere: the states of the table in
 ``beam_ros.hub.simulated.transitions``, the ageing of set-points, stop ramps, limits. What is to be done is a
-``MotionPlan`` and the steady time at which it begins; a link writes it to its controller sample by sample, or hands
-it over whole. The axis reads no clock: every call says what time it is.
+``LedCourse``: a plan and the steady time at which it begins; a link writes it to its controller sample by sample, or
+hands it over whole. What every order promises, the ``Supervisor`` compares with what is measured, as on every link.
+The axis reads no clock: every call says what time it is.
 """
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -27,31 +28,38 @@ from beam_ros.hub.contract import (
 from beam_ros.hub.faults import NO_FAULT, Fault, fault
 from beam_ros.hub.gate.beam_guard import BeamGuard
 from beam_ros.hub.gate.command_gate import CommandGate
-from beam_ros.hub.host.motion_watch import CertainMotion
+from beam_ros.hub.host.answers import Answers
+from beam_ros.hub.host.contact import Contact
+from beam_ros.hub.host.motion_watch import Measuring
+from beam_ros.hub.host.rest_watch import REST_S
 from beam_ros.hub.host.supervisor import Supervisor
 from beam_ros.hub.host_clock import HostClock
 from beam_ros.hub.journal import Journal
+from beam_ros.hub.links.course import LedCourse
 from beam_ros.hub.links.motion_plan import MotionPlan
+from beam_ros.hub.links.place import HubPlace
 from beam_ros.hub.parameters import AxisParameters
 from beam_ros.hub.simulated.state_machine import AxisStateMachine
-from beam_ros.hub.simulated.transitions import ARMED, FOLLOWING, HOMING, HOMING_STOPS, RUNNING, Cause
+from beam_ros.hub.simulated.transitions import ARMED, FOLLOWING, HOMING, RUNNING, Cause
 
 AT_REST = 0.002
 """A slower measured hub is taken for one at rest [m/s]: what a drive's speed estimate shows of a standing motor."""
-SETTLING_NS = 100_000_000
-"""So long the motor holds the hub after a plan has come to rest, before it may be switched off [ns]."""
 MAX_LATENESS = 0.5
 """A command that is later than this share of the watchdog's time while the hub is to move has lost the pace ..."""
 MAX_JUMP = 0.005
 """... and so has one that is further than this from where the last one was due [m]."""
-LAG_NS = 150_000_000
-"""A drive may be this much behind its commands, and a measurement behind the hub [ns]."""
-FOLLOWED_TICKS = 1000
-"""So many ticks of the past at most are shown to the gate in one poll."""
 STAMP_JITTER_S = 0.005
 """A measurement's stamp may be wrong by so much [s]."""
 HELD = 0.001
 """A hub that is further than this from where it is held does not follow [m]."""
+
+
+@dataclass
+class PollSamples:
+    """What is reported with the next poll."""
+
+    applied: list[SampleBatch] = field(default_factory=list)
+    measured: list[SampleBatch] = field(default_factory=list)
 
 
 class HostAxis:
@@ -70,15 +78,19 @@ class HostAxis:
         Names of the link's own counters.
     objection : callable, optional
         Why the link cannot hand a sequence's plan over; empty where it can.
+    reports_course : bool
+        Whether what is led is what is applied; else the link says what it wrote, by ``add_applied``.
+    checks_in_background : bool
+        Whether sequences are checked in a thread; else at once.
 
     Attributes
     ----------
-    plan : MotionPlan
+    course : LedCourse
         What is being done.
-    plan_ns : int
-        Steady time at which it begins [ns].
-    revision : int
-        Grows with every new plan.
+    place : HubPlace
+        Where the hub was measured last.
+    journal : Journal
+        Events and counters.
     powering : list of (int, str)
         Requests that wait for the link to switch the motor on: ``grant`` or ``deny`` answers them.
     """
@@ -91,48 +103,35 @@ class HostAxis:
         homes_here: bool = True,
         counters: tuple[str, ...] = (),
         objection: Callable[[MotionPlan], str] = lambda plan: "",
+        reports_course: bool = False,
+        checks_in_background: bool = True,
     ) -> None:
         self.parameters = parameters
-        self.plan = MotionPlan.rest(0.0)
-        self.plan_ns = 0
-        self.revision = 0
+        self.course = LedCourse(parameters)
+        self.place = HubPlace(homes_here=homes_here)
         self.powering: list[tuple[int, RequestKind]] = []
-        self.journal = Journal(counters)
-        self._gate = CommandGate(parameters, guard, in_background=True)
-        self._homes_here = homes_here
+        self.journal = Journal(("connections", *counters))
+        self._contact = Contact(self.journal, "the controller has not answered yet")
+        self._gate = CommandGate(parameters, guard, in_background=checks_in_background)
         self._objection = objection
+        self._reports_course = reports_course
         self._machine = _machine()
         self._clock: HostClock | None = None
         self._polled_ns = 0
-        self._lapse_ns = 0
-        self._followed_ns = 0
-        self._stepped_ns = 0
-        self._next_request = 1
-        self._completed: list[tuple[int, Outcome]] = []
-        self._applied: list[SampleBatch] = []
-        self._measured: list[SampleBatch] = []
-        self._zero = 0.0
-        self._raw = 0.0
-        self._velocity = 0.0
-        self._led: deque[tuple[int, float]] = deque()
-        self._fault: Fault = fault("no_answer")
-        self._reason = "the controller has not answered yet"
-        self._told = ""
-        self._is_connected = False
-        self._supervisor = Supervisor(parameters, self.journal)
+        self._answers = Answers()
+        self._samples = PollSamples()
         # What the encoder's step is on somebody else's axis, the rig file need not know.
-        self._motion = CertainMotion(parameters, parameters.max_following_error, STAMP_JITTER_S)
+        measuring = Measuring(parameters.max_following_error, AT_REST * REST_S, STAMP_JITTER_S)
+        self._supervisor = Supervisor(parameters, self.journal, measuring)
 
     # What it is like -----------------------------------------------------------------------------------
 
     @property
     def state(self) -> AxisState:
         """Disconnected, identified, homed, enabled or fault."""
-        if not self._is_connected:
+        if not self._contact.is_made:
             return "disconnected"
-        if self.is_broken:
-            return "fault"
-        return self._machine.condition.state
+        return "fault" if self.is_broken else self._machine.condition.state
 
     @property
     def activity(self) -> Activity:
@@ -145,18 +144,18 @@ class HostAxis:
         return self.activity != "idle"
 
     @property
-    def position(self) -> float:
-        """Measured position, from home [m]."""
-        return self._raw - self._zero
+    def is_broken(self) -> bool:
+        """Whether a fault waits to be cleared."""
+        return self._supervisor.fault is not NO_FAULT
 
     @property
-    def zero(self) -> float:
-        """Where home is on the controller's own scale [m]."""
-        return self._zero
+    def is_moving(self) -> bool:
+        """Whether the measured hub moves."""
+        return abs(self.place.velocity) > AT_REST
 
-    def reference(self, now_ns: int) -> tuple[float, float, float]:
-        """Return where the hub is to be now: position from home [m], velocity [m/s], acceleration [m/s^2]."""
-        return self.plan.at((now_ns - self.plan_ns) * 1e-9)
+    def must_be_silent(self, now_ns: int) -> bool:
+        """Whether nothing may be written now: the axis did not stop, and its own watchdog is to act."""
+        return self._supervisor.must_be_silent(now_ns)
 
     def clock(self, now: HostTime) -> HostClock:
         """Return the host's clock, which the first call starts."""
@@ -173,13 +172,14 @@ class HostAxis:
 
     def request(self, kind: RequestKind, now_ns: int) -> int:
         """Ask for a change of state; its number appears in ``HubReport.completed`` when it is over."""
-        number = self._next_request
-        self._next_request += 1
-        if not self._is_connected:
+        number = self._answers.begin()
+        if not self._contact.is_made:
             words = kind.replace("_", " ")
-            self._complete(number, False, f"cannot {words}: the controller is disconnected: {self._reason}")
+            self._answers.add(
+                number, False, f"cannot {words}: the controller is disconnected: {self._contact.reason}"
+            )
         elif (answer := self._supervisor.answer(kind, self._machine.condition.state)) is not None:
-            self._completed.append((number, answer))
+            self._answers.add(number, answer.success, answer.message)
             if kind == "clear_fault" and answer.success and self._supervisor.has_lost_home:
                 self._machine = _machine()
         elif kind in ("enable", "home") and not self.is_powered:
@@ -187,108 +187,93 @@ class HostAxis:
         else:
             if kind in ("stop", "disable"):
                 self._gate.abort_loading(f"{kind} was asked for")
-            self._ask(number, kind, now_ns)
+            was_stopping = self.activity == "stopping"
+            self._machine.ask(0, number, kind)
+            self._follow_condition(was_stopping, now_ns)
         return number
 
     def grant(self, now_ns: int) -> None:
         """Do what waits for the motor, which now holds the hub where it stands."""
         waiting, self.powering = self.powering, []
+        p, place = self.parameters, self.place
         for number, kind in waiting:
-            if kind == "home" and self._homes_here:
-                self._zero = self._raw
-            elif kind == "home":
-                self._zero = 0.0
-            if abs(self.position) > self.parameters.position_limit:
-                self._complete(
+            if kind == "home":
+                place.take_home()
+            if abs(place.position) > p.position_limit:
+                self._answers.add(
                     number,
                     False,
-                    f"cannot {kind}: the hub stands at {self.position:.6f} m, expected within "
-                    f"+-{self.parameters.position_limit:g} m; move it by hand, and home it",
+                    f"cannot {kind}: the hub stands at {place.position:.6f} m, expected within "
+                    f"+-{p.position_limit:g} m; move it by hand, and home it",
                 )
                 continue
-            self._motion.forget()
-            self._set_plan(MotionPlan.rest(self.position), now_ns)
-            self._ask(number, kind, now_ns)
+            self._supervisor.forget_motion()
+            self.course.follow(MotionPlan.rest(place.position), now_ns)
+            self._machine.ask(0, number, kind)
+            self._follow_condition(False, now_ns)
             if self._machine.condition is HOMING:
-                p = self.parameters
-                way = MotionPlan.move(self.position, 0.0, 0.0, p.homing_speed, p.homing_acceleration)
-                self._set_plan(way, now_ns)
+                way = MotionPlan.move(place.position, 0.0, 0.0, p.homing_speed, p.homing_acceleration)
+                self.course.follow(way, now_ns)
 
     def deny(self, reason: str) -> None:
         """Refuse what waits for the motor."""
         waiting, self.powering = self.powering, []
         for number, kind in waiting:
-            self._complete(number, False, f"cannot {kind}: {reason}")
+            self._answers.add(number, False, f"cannot {kind}: {reason}")
 
     def setpoint(self, stamp_ns: int, value: float, now: HostTime) -> Outcome:
         """Take one set-point in the command mode's unit, stamped [ns, UNIX] by who made it."""
         now_ns = self.clock(now).stamp_ns(now.steady_ns)
-        position, velocity, _ = self.reference(now.steady_ns)
+        position, velocity, _ = self.course.at(now.steady_ns)
         outcome = self._gate.check_setpoint(stamp_ns, value, now_ns, self.state, position, velocity)
         if outcome.success:
-            plan = self._towards(value, now.steady_ns)
+            plan = MotionPlan.towards(position, velocity, value, self.parameters)
             outcome = self._react("set-point", now.steady_ns, objection=plan.objection(self.parameters))
             if outcome.success:
-                self._set_plan(plan, now.steady_ns)
-                self._lapse_ns = now.steady_ns + round(self.parameters.watchdog_s * 1e9)
+                self.course.follow(plan, now.steady_ns)
         if not outcome.success:
             self.journal.counters["setpoints_refused"] += 1
         return outcome
 
-    def _towards(self, setpoint: float, now_ns: int) -> MotionPlan:
-        position, velocity, _ = self.reference(now_ns)
-        p = self.parameters
-        if p.command_mode == "position":
-            return MotionPlan.move(position, velocity, setpoint, p.move_speed, p.move_acceleration)
-        return MotionPlan.refreshed(position, velocity, setpoint, p)
-
     def load(self, chunk: SequenceChunk, now: HostTime) -> None:
         """Take one chunk of a sequence; what became of it appears in ``HubReport.sequences``."""
         clock = self.clock(now)
-        position, velocity, _ = self.reference(now.steady_ns)
+        position, velocity, _ = self.course.at(now.steady_ns)
         self._gate.add(chunk, clock.stamp_ns(now.steady_ns), self.state, position, velocity)
 
     def _take_checked(self, now: HostTime) -> None:
         """Make a plan of the sequence that has passed its check, if one has."""
         clock = self.clock(now)
-        position, velocity, _ = self.reference(now.steady_ns)
+        position, velocity, _ = self.course.at(now.steady_ns)
         sequence = self._gate.poll(clock.stamp_ns(now.steady_ns), self.state, position, velocity)
         if sequence is None:
             return
         plan = MotionPlan.sequence(sequence.ticks(0, sequence.n_ticks), self.parameters, position)
-        astray = abs(self.position - position)
+        astray = abs(self.place.position - position)
         objection = self._objection(plan)
         if astray > HELD:
             objection = f"the hub stands {astray * 1e3:.2f} mm from where it is held: expected at most 1 mm"
         outcome = self._react("arm", now.steady_ns, objection=objection)
         if outcome.success:
-            self._set_plan(plan, clock.steady_ns(sequence.start_ns))
+            self.course.follow(plan, clock.steady_ns(sequence.start_ns))
         else:
             self._gate.finish("refused", outcome.message)
 
     # What the link sees --------------------------------------------------------------------------------
 
-    def connect(self) -> None:
-        """Note that the controller answers."""
-        self._is_connected = True
-        self._told = ""
-        self._fault, self._reason = NO_FAULT, ""
-        self._motion.forget()
+    def connect(self, what: str) -> None:
+        """Note that the controller answers; ``what`` it is goes into the log."""
+        self._contact.make(what)
+        self._supervisor.connect()
 
     def disconnect(self, name: str, reason: str) -> None:
         """Note that the controller cannot be reached: nothing is known of the hub any more."""
-        if name != self._told:
-            self.journal.tell("error", reason)
-        self._told = name
-        self._is_connected = False
-        self._fault, self._reason = fault(name), reason
+        self._contact.lose(name, reason)
         self.deny(reason)
         if self.is_powered:
             self._machine.react("emergency stop", 0, reason, fault=fault(name))
-            self._machine.react("rest", 0)
         self._gate.finish("aborted", reason)
-        for number, _ in self._machine.take_completed():
-            self._complete(number, False, f"the controller is disconnected: {reason}")
+        self._give_up(f"the controller is disconnected: {reason}")
         self._machine = _machine()
 
     def fail(self, name: str, reason: str, now_ns: int, *, is_limp: bool = False) -> None:
@@ -305,23 +290,21 @@ class HostAxis:
         is_limp : bool, optional
             Whether the motor is off already, so that nothing can be led to rest.
         """
-        is_known = self.is_broken
+        was_broken = self.is_broken
         self._supervisor.report(name, reason)
-        if is_known:
-            return
-        self.deny(reason)
-        if self.is_powered:
-            self._react("emergency stop", now_ns, reason, fault(name))
-            if is_limp:
-                self._set_plan(MotionPlan.rest(self.position), now_ns)
-                self._react("rest", now_ns)
+        if is_limp and self.is_powered and not was_broken:
+            self._machine.react("emergency stop", 0, reason, fault=fault(name))
+            self._machine.react("rest", 0)
+            self.course.follow(MotionPlan.rest(self.place.position), now_ns)
+            self._follow_condition(True, now_ns)
+        self._stop_if_due(now_ns)
 
     def note_late(self, late_ns: int, now_ns: int) -> None:
         """Stop if the host was so late with a command that the pace is lost; of a sequence, the rest is lost.
 
         The stop begins where the hub was just measured: the plan has gone on without it.
         """
-        before, after = self.reference(now_ns - late_ns), self.reference(now_ns)
+        before, after = self.course.at(now_ns - late_ns), self.course.at(now_ns)
         is_still = before[1:] == after[1:] == (0.0, 0.0) and before[0] == after[0]
         is_far = (
             abs(after[0] - before[0]) > MAX_JUMP or late_ns * 1e-9 > MAX_LATENESS * self.parameters.watchdog_s
@@ -332,167 +315,145 @@ class HostAxis:
             self._react("underrun" if is_running else "emergency stop", now_ns, reason, fault("underrun"))
             self._brake_where_it_is(now_ns)
 
-    def observe(self, raw_position: float, velocity: float) -> None:
-        """Note what was measured: position on the controller's own scale [m], velocity [m/s]."""
-        self._raw, self._velocity = raw_position, velocity
+    def measure(
+        self, raw: float, velocity: float, stamp_ns: int | None = None, effort: float | None = None
+    ) -> None:
+        """Take what was measured.
 
-    @property
-    def is_broken(self) -> bool:
-        """Whether a fault waits to be cleared."""
-        return self._supervisor.fault is not NO_FAULT
-
-    @property
-    def is_moving(self) -> bool:
-        """Whether the measured hub moves."""
-        return abs(self._velocity) > AT_REST
+        Parameters
+        ----------
+        raw : float
+            Position on the controller's own scale [m].
+        velocity : float
+            [m/s].
+        stamp_ns : int, optional
+            When [ns, UNIX]; what has no time is not reported.
+        effort : float, optional
+            Force on the hub [N].
+        """
+        place = self.place
+        place.raw, place.velocity = raw, velocity
+        if stamp_ns is None:
+            return
+        self._samples.measured.append(
+            SampleBatch(
+                stamp_ns,
+                0,
+                1,
+                positions=np.array([place.position]),
+                velocities=np.array([velocity]),
+                efforts=None if effort is None else np.array([effort]),
+            )
+        )
+        self._supervisor.note_measured(stamp_ns * 1e-9, place.position, is_led=self.is_powered)
 
     def add_applied(self, batch: SampleBatch) -> None:
-        """Report what was commanded."""
-        self._applied.append(batch)
-
-    def add_measured(self, stamp_ns: int, position: float, velocity: float, effort: float | None) -> None:
-        """Report one measured sample with a stamp of its own [ns, UNIX], position on the controller's scale [m]."""
-        batch = SampleBatch(
-            stamp_ns,
-            0,
-            1,
-            positions=np.array([position - self._zero]),
-            velocities=np.array([velocity]),
-            efforts=None if effort is None else np.array([effort]),
-        )
-        self._measured.append(batch)
-        self._watch_measured(stamp_ns)
+        """Report what was written."""
+        self._samples.applied.append(batch)
 
     # Time ----------------------------------------------------------------------------------------------
 
     def step(self, now_ns: int) -> None:
         """Do what time alone brings about: starts, ends, silence, set-points that were not refreshed."""
-        self._supervisor.look(now_ns)
-        self._stepped_ns = now_ns
-        self._watch(now_ns)
+        supervisor, course = self._supervisor, self.course
+        supervisor.look(now_ns)
+        supervisor.note_led(now_ns, course.at(now_ns)[0], self.place.position)
+        self._stop_if_due(now_ns)
+        self._end_stop(now_ns)
         condition = self._machine.condition
-        end_ns = self.plan_ns + round(self.plan.duration * 1e9)
-        is_over, is_settled = now_ns >= end_ns, now_ns >= end_ns + SETTLING_NS
         watchdog_ns = round(self.parameters.watchdog_s * 1e9)
+        patience = f"{self.parameters.watchdog_s:g} s"
         if self.activity not in ("idle", "stopping") and now_ns - self._polled_ns > watchdog_ns:
-            reason = f"the host's program stood still for {self.parameters.watchdog_s:g} s"
+            reason = f"the host's program stood still for {patience}"
             self._react("silence", now_ns, reason, fault("host_silent"))
-        elif condition is ARMED and now_ns >= self.plan_ns:
+        elif condition is ARMED and now_ns >= course.start_ns:
             self._react("start", now_ns)
-        elif condition is RUNNING and is_over:
+        elif condition is RUNNING and course.is_over(now_ns):
             self._react("end", now_ns)
-        elif (
-            condition is FOLLOWING and self.parameters.command_mode != "position" and now_ns > self._lapse_ns
-        ):
-            patience = self.parameters.watchdog_s
-            reason = f"set-point not refreshed for {patience:g} s"
-            self._react("old set-point", now_ns, reason, fault("setpoint_old"))
-        elif condition is HOMING and is_settled:
+        elif condition is FOLLOWING and self._is_aged(now_ns - watchdog_ns):
+            self._react(
+                "old set-point", now_ns, f"set-point not refreshed for {patience}", fault("setpoint_old")
+            )
+        elif condition is HOMING and course.is_settled(now_ns):
             self._react("home reached", now_ns)
-        elif self.activity == "stopping" and is_settled:
-            self._react("rest", now_ns)
-        self._supervisor.note_status(self._machine.condition.state, self.activity, 0)
+        supervisor.note_status(self._machine.condition.state, self.activity, 0)
+
+    def _is_aged(self, oldest_ns: int) -> bool:
+        """Whether the set-point that is followed is older than that; one of a position does not age."""
+        return self.parameters.command_mode != "position" and self.course.start_ns < oldest_ns
 
     def poll(self, now: HostTime) -> HubReport:
         """Note that the host is alive, and collect what happened."""
         clock = self.clock(now)
         self._polled_ns = now.steady_ns
-        self._let_gate_follow(now.steady_ns, clock)
+        if (led := self.course.take_ticks(now.steady_ns, clock)) is not None:
+            self._gate.follow([led])
+            if self._reports_course and self.is_powered:
+                self.add_applied(led[0])
         self.journal.watch_clock(clock, now)
         self._take_checked(now)
         for event in self._machine.take_events():
             self.journal.add(self._gate.note(event.kind, event.text))
-        applied, self._applied = self._applied, []
-        measured, self._measured = self._measured, []
-        completed, self._completed = [*self._completed, *self._machine.take_completed()], []
+        samples, self._samples = self._samples, PollSamples()
         return HubReport(
-            applied=applied,
-            measured=measured,
+            applied=samples.applied,
+            measured=samples.measured,
             sequences=self._gate.take_reports(),
             clock=[],
-            completed=completed,
+            completed=[*self._answers.take(), *self._machine.take_completed()],
             status=self._status(),
             events=self.journal.take_events(),
         )
 
-    # Inside --------------------------------------------------------------------------------------------
+    # Stops ---------------------------------------------------------------------------------------------
 
-    def _let_gate_follow(self, now_ns: int, clock: HostClock) -> None:
-        """Show the gate what was commanded since the last poll, tick by tick, for its model of the beam."""
-        period_ns, mode = self.parameters.period_ns, self.parameters.command_mode
-        begin_ns = max(self._followed_ns, now_ns - FOLLOWED_TICKS * period_ns)
-        if self.plan_ns <= now_ns:
-            begin_ns = max(begin_ns, self.plan_ns)
-        first = -((self.plan_ns - begin_ns) // period_ns)
-        last = (now_ns - self.plan_ns) // period_ns
-        if last <= first:
-            return
-        self._followed_ns = self.plan_ns + last * period_ns
-        ticks = np.arange(first, last) * (period_ns * 1e-9)
-        positions, velocities, accelerations = self.plan.sample(np.asarray(ticks, dtype=np.float64))
-        stamp_ns = clock.stamp_ns(self.plan_ns + first * period_ns)
-        applied = SampleBatch(
-            stamp_ns,
-            period_ns,
-            1,
-            velocities=None if mode == "acceleration" else velocities,
-            accelerations=accelerations if mode == "acceleration" else None,
-        )
-        measured = SampleBatch(stamp_ns, period_ns, 1, positions=positions, velocities=velocities)
-        self._gate.follow([(applied, measured)])
+    def _stop_if_due(self, now_ns: int) -> None:
+        """Stop a hub whose motion nobody can answer for: from where it is, so that it is not pulled back."""
+        supervisor = self._supervisor
+        if self.is_broken:
+            self.deny(supervisor.reason)
+        if supervisor.is_stop_due and self.activity not in ("idle", "stopping"):
+            self._react("emergency stop", now_ns, supervisor.reason, supervisor.fault)
+            if supervisor.fault.name in ("motion_unexplained", "beyond_travel"):
+                self._brake_where_it_is(now_ns)
 
-    def _watch(self, now_ns: int) -> None:
-        """Compare what was measured with what was commanded."""
-        led = self._led
-        if not self.is_powered or self.is_broken:
-            led.clear()
-            return
-        led.append((now_ns, self.reference(now_ns)[0]))
-        while now_ns - led[0][0] > LAG_NS:
-            led.popleft()
-        ways = [position for _, position in led]
-        astray = max(min(ways) - self.position, self.position - max(ways))
-        if astray > self.parameters.max_following_error:
-            most = self.parameters.max_following_error * 1e3
-            reason = (
-                f"the hub is {astray * 1e3:.2f} mm from where it was led: expected at most {most:g} mm "
-                "(hub.max_following_error)"
-            )
-            self.fail("motion_unexplained", reason, now_ns)
-            self._brake_where_it_is(now_ns)
+    def _end_stop(self, now_ns: int) -> None:
+        """End a stop where the hub is seen at rest; where it did something else instead, let go of it."""
+        supervisor = self._supervisor
+        if broken := supervisor.take_broken():
+            self._give_up(broken)
+            self._follow_condition(True, now_ns)
+        elif supervisor.is_stopping and self.course.is_settled(now_ns):
+            supervisor.note_stop_answered(is_over=True)
+            if supervisor.end_stop() and self.activity == "stopping":
+                self._react("rest", now_ns)
 
-    def _watch_measured(self, stamp_ns: int) -> None:
-        """Look at a measurement by itself: no command is needed to see that it cannot be, or must not be."""
-        if self._machine.condition in (HOMING, HOMING_STOPS):
-            self._motion.forget()
-            return
-        found = self._motion.find(
-            np.array([stamp_ns * 1e-9]),
-            np.array([self.position]),
-            is_homed=self._machine.condition.state in ("homed", "enabled")
-            and not self._supervisor.has_lost_home,
-            is_enabled=self.is_powered,
-        )
-        if found is None:
-            return
-        was_led = self.is_powered and not self.is_broken
-        self.fail(*found, self._stepped_ns)
-        if was_led and found[0] != "position_jumped":
-            self._brake_where_it_is(self._stepped_ns)
+    def _give_up(self, reason: str) -> None:
+        """Lead the hub no more; what waits for its rest is answered with the reason why it will not be seen."""
+        for number, outcome in self._machine.take_completed():
+            self._answers.add(number, outcome.success, outcome.message)
+        if self.activity == "stopping":
+            self._machine.react("rest", 0)
+        for number, _ in self._machine.take_completed():
+            self._answers.add(number, False, reason)
 
     def _brake_where_it_is(self, now_ns: int) -> None:
-        """Stop from the measured motion: a hub that went astray is not pulled back."""
-        stop = self.parameters.stop_deceleration
-        self._led.clear()
-        self._set_plan(MotionPlan.brake(self.position, self._velocity, stop), now_ns)
+        """Stop from the measured motion."""
+        self._brake(self.place.position, self.place.velocity, now_ns)
+
+    def _brake(self, position: float, velocity: float, now_ns: int) -> None:
+        brake = MotionPlan.brake(position, velocity, self.parameters.stop_deceleration)
+        self.course.follow(brake, now_ns)
+
+    # Inside --------------------------------------------------------------------------------------------
 
     def _status(self) -> HubStatus:
-        if not self._is_connected:
-            return HubStatus(fault=self._fault, reason=self._reason, counters=dict(self.journal.counters))
+        if not self._contact.is_made:
+            return self._contact.status
         status = HubStatus(
             self._machine.condition.state,
-            self.position,
-            self._velocity,
+            self.place.position,
+            self.place.velocity,
             self.activity,
             self._machine.fault,
             self._machine.reason,
@@ -500,31 +461,23 @@ class HostAxis:
         )
         return self._supervisor.seen(status)
 
-    def _complete(self, number: int, success: bool, message: str) -> None:
-        self._completed.append((number, Outcome(success, message)))
-
-    def _ask(self, number: int, kind: RequestKind, now_ns: int) -> None:
-        was_stopping = self.activity == "stopping"
-        self._machine.ask(0, number, kind)
-        self._brake_if_stopping(was_stopping, now_ns)
-
     def _react(
         self, cause: Cause, now_ns: int, reason: str = "", why: Fault = NO_FAULT, *, objection: str = ""
     ) -> Outcome:
         was_stopping = self.activity == "stopping"
         outcome = self._machine.react(cause, 0, reason, fault=why, objection=objection)
-        self._brake_if_stopping(was_stopping, now_ns)
+        self._follow_condition(was_stopping, now_ns)
         return outcome
 
-    def _brake_if_stopping(self, was_stopping: bool, now_ns: int) -> None:
+    def _follow_condition(self, was_stopping: bool, now_ns: int) -> None:
+        """Begin the ramp of a stop, which is a promise from now on; tell the supervisor where the axis stands."""
+        supervisor = self._supervisor
         if self.activity == "stopping" and not was_stopping:
-            position, velocity, _ = self.reference(now_ns)
-            stop = self.parameters.stop_deceleration
-            self._set_plan(MotionPlan.brake(position, velocity, stop), now_ns)
-
-    def _set_plan(self, plan: MotionPlan, start_ns: int) -> None:
-        self.plan, self.plan_ns = plan, start_ns
-        self.revision += 1
+            position, velocity, _ = self.course.at(now_ns)
+            self._brake(position, velocity, now_ns)
+            supervisor.order_stop()
+            supervisor.note_stop_said(self.course.plan.duration)
+        supervisor.note_status(self._machine.condition.state, self.activity, 0)
 
 
 def _machine() -> AxisStateMachine:

@@ -7,6 +7,7 @@ import time
 
 from beam_ros.hub.contract import HostTime, HubCapabilities, HubReport, Outcome, RequestKind, SequenceChunk
 from beam_ros.hub.links.host_axis import HostAxis
+from beam_ros.hub.links.query_line import SteadyTime
 
 CLOSE_S = 1.0
 """Longest wait for the axis to rest on closing [s]."""
@@ -23,11 +24,16 @@ class HostPacedHub:
         States and plan.
     capabilities : HubCapabilities
         What the controller can promise.
+    steady : SteadyTime, optional
+        The clock.
     """
 
-    def __init__(self, axis: HostAxis, capabilities: HubCapabilities) -> None:
+    def __init__(
+        self, axis: HostAxis, capabilities: HubCapabilities, steady: SteadyTime | None = None
+    ) -> None:
         self.lock = threading.Lock()
         self.axis = axis
+        self.steady = steady or SteadyTime()
         self._capabilities = capabilities
 
     @property
@@ -38,7 +44,7 @@ class HostPacedHub:
     def request(self, kind: RequestKind) -> int:
         """Ask for a change of state; its number appears in ``HubReport.completed`` when it is over."""
         with self.lock:
-            return self.axis.request(kind, time.monotonic_ns())
+            return self.axis.request(kind, self.steady.now_ns())
 
     def setpoint(self, stamp_ns: int, value: float, now: HostTime) -> Outcome:
         """Hand over one set-point in the command mode's unit, stamped [ns, UNIX] by who made it."""

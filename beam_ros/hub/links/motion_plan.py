@@ -8,13 +8,14 @@ command are one piece: nothing is lost by that.
 
 from __future__ import annotations
 
-import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from beam_ros.arrays import FloatArray
+from beam_ros.hub.kinematics import answer, cut, move, ramp
 from beam_ros.hub.parameters import AxisParameters
 
 _SLACK = 1e-5
@@ -48,7 +49,7 @@ class MotionPlan:
         return cls.ramps(position, 0.0, [])
 
     @classmethod
-    def ramps(cls, position: float, velocity: float, pieces: list[tuple[float, float]]) -> MotionPlan:
+    def ramps(cls, position: float, velocity: float, pieces: Sequence[tuple[float, float]]) -> MotionPlan:
         """Start with a position [m] and a velocity [m/s], then hold accelerations.
 
         Parameters
@@ -65,47 +66,26 @@ class MotionPlan:
     @classmethod
     def brake(cls, position: float, velocity: float, deceleration: float) -> MotionPlan:
         """Decelerate [m/s^2] to rest."""
-        return cls.ramps(
-            position, velocity, [(abs(velocity) / deceleration, -math.copysign(deceleration, velocity))]
-        )
+        return cls.ramps(position, velocity, [ramp(velocity, 0.0, deceleration)])
 
     @classmethod
     def move(
         cls, position: float, velocity: float, target: float, speed: float, acceleration: float
     ) -> MotionPlan:
         """Go to a target [m] in the shortest time that speed [m/s] and acceleration [m/s^2] allow, to rest there."""
-        way = target - position
-        braking = velocity * abs(velocity) / (2 * acceleration)
-        sign = math.copysign(1.0, way - braking)
-        peak = sign * min(speed, math.sqrt(max(0.0, acceleration * sign * way + velocity**2 / 2)))
-        first = abs(peak - velocity) / acceleration
-        last = abs(peak) / acceleration
-        cruise = 0.0
-        if peak:
-            cruise = (way - (velocity + peak) / 2 * first - peak / 2 * last) / peak
-        pieces = [
-            (first, math.copysign(acceleration, peak - velocity)),
-            (max(0.0, cruise), 0.0),
-            (last, -sign * acceleration),
-        ]
-        return cls.ramps(position, velocity, pieces)
+        return cls.ramps(position, velocity, move(target - position, velocity, speed, acceleration))
 
     @classmethod
-    def refreshed(
+    def towards(
         cls, position: float, velocity: float, setpoint: float, parameters: AxisParameters
     ) -> MotionPlan:
-        """Follow a set-point of acceleration or velocity for the watchdog's time, then stop, as silence would."""
-        hold = parameters.watchdog_s
-        pieces = [(hold, setpoint)]
-        end = velocity + setpoint * hold
-        if parameters.command_mode == "velocity":
-            change = setpoint - velocity
-            rate = math.copysign(parameters.max_acceleration, change)
-            ramp = min(hold, abs(change) / parameters.max_acceleration)
-            pieces = [(ramp, rate), (hold - ramp, 0.0)]
-            end = velocity + rate * ramp
-        stop = parameters.stop_deceleration
-        return cls.ramps(position, velocity, [*pieces, (abs(end) / stop, -math.copysign(stop, end))])
+        """Follow a set-point for the watchdog's time, then stop, as silence would; one of a position to its end."""
+        pieces = answer(setpoint, position, velocity, parameters)
+        if parameters.command_mode != "position":
+            pieces = cut(pieces, parameters.watchdog_s)
+            end = velocity + sum(duration * drive for duration, drive in pieces)
+            pieces.append(ramp(end, 0.0, parameters.stop_deceleration))
+        return cls.ramps(position, velocity, pieces)
 
     @classmethod
     def sequence(cls, values: FloatArray, parameters: AxisParameters, position: float) -> MotionPlan:

@@ -1,7 +1,8 @@
-"""What answers on a port: the suite's own protocol, an ODrive, lines of numbers, noise, or nobody.
+"""What answers on a port: the suite's own protocol, an ODrive, a Dynamixel, lines of numbers, noise, or nobody.
 
-Everything that is asked changes nothing: a greeting of the suite's protocol, which stops and opens, and one property
-of an ODrive. What is unknown may still take the bytes for something else, so that a motor's power should be off.
+Everything that is asked changes nothing: a greeting of the suite's protocol, which stops and opens, properties of an
+ODrive, and which Dynamixels there are. What is unknown may still take the bytes for something else, so that a motor's
+power should be off.
 """
 
 from __future__ import annotations
@@ -10,17 +11,20 @@ import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 
 from beam_ros.hub.errors import HubProtocolError
 from beam_ros.hub.line import protocol
 from beam_ros.hub.line.framing import FrameDecoder
-from beam_ros.hub.links import odrive_protocol
+from beam_ros.hub.link_parameters import OdriveParameters
+from beam_ros.hub.links import dynamixel_protocol, odrive_protocol
 from beam_ros.hub.links.csv_lines import CsvReader
+from beam_ros.hub.links.odrive import Odrive
+from beam_ros.hub.links.query_line import Line, QueryLine
 
-BAUDS = (921_600, 115_200, 460_800, 230_400, 57_600, 38_400, 19_200, 9_600)
+BAUDS = (921_600, 115_200, 57_600, 1_000_000, 460_800, 230_400, 2_000_000, 38_400, 19_200, 9_600)
 """Rates that are tried, the usual ones first."""
 FLOOD_BYTES = 2_000_000
 """More bytes in a second than anything that answers says."""
@@ -29,17 +33,12 @@ ANSWER_S = 0.3
 ENOUGH_ROWS = 4
 """So many rows of numbers, and more of them than other lines, are no accident."""
 
-Kind = Literal["beam", "beam_other_version", "odrive", "csv", "noise", "silence"]
-
-
-class Line(Protocol):
-    """An open port."""
-
-    def write(self, data: bytes) -> None:
-        """Send bytes."""
-
-    def read(self, timeout_s: float) -> tuple[bytes, int]:
-        """Wait for bytes; return them, and the steady time at which they came [ns]."""
+Kind = Literal[
+    "beam", "beam_other_version", "odrive", "odrive_other_version", "dynamixel", "csv", "noise", "silence"
+]
+USABLE: tuple[Kind, ...] = ("beam", "odrive", "dynamixel", "csv")
+OTHER_VERSIONS: tuple[Kind, ...] = ("beam_other_version", "odrive_other_version")
+"""What speaks at this rate, and nothing that a link of the suite's does."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +48,7 @@ class Finding:
     Parameters
     ----------
     kind : str
-        beam, beam_other_version, odrive, csv, noise or silence.
+        beam, odrive, either with ``_other_version``, dynamixel, csv, noise or silence.
     baud : int
         Rate of the line.
     sentence : str
@@ -69,7 +68,7 @@ class Finding:
     @property
     def is_usable(self) -> bool:
         """Whether an axis link can work with it."""
-        return self.kind in ("beam", "odrive", "csv")
+        return self.kind in USABLE
 
 
 def probe_line(line: Line, baud: int) -> Finding:
@@ -83,7 +82,7 @@ def probe_line(line: Line, baud: int) -> Finding:
         Its rate, for the finding.
     """
     heard, times = _listen(line, LISTEN_S)
-    for look in (_numbers, _beam, _odrive):
+    for look in (_numbers, _beam, _odrive, _dynamixel):
         finding = look(line, baud, heard, times)
         if finding is not None:
             return finding
@@ -110,14 +109,14 @@ def probe(open_line: Callable[[int], Line], bauds: tuple[int, ...] = BAUDS) -> l
     findings: list[Finding] = []
     for baud in bauds:
         findings.append(probe_line(open_line(baud), baud))
-        if findings[-1].is_usable or findings[-1].kind == "beam_other_version":
+        if findings[-1].is_usable or findings[-1].kind in OTHER_VERSIONS:
             break
     return findings
 
 
 def best(findings: list[Finding]) -> Finding:
     """Return what says most of all that was found."""
-    order: tuple[Kind, ...] = ("beam", "odrive", "csv", "beam_other_version", "noise", "silence")
+    order: tuple[Kind, ...] = (*USABLE, *OTHER_VERSIONS, "noise", "silence")
     return min(findings, key=lambda finding: order.index(finding.kind))
 
 
@@ -221,21 +220,45 @@ def _of_identity(identity: protocol.Identity, baud: int) -> Finding:
 
 def _odrive(line: Line, baud: int, _heard: bytes, _times: list[int]) -> Finding | None:
     # What was asked before may be half a line to it.
-    line.write(b"\n" + odrive_protocol.encode_line("r vbus_voltage"))
-    answer, _ = _listen(line, ANSWER_S)
-    for text in answer.split(b"\n"):
-        try:
-            (volts,) = odrive_protocol.numbers(odrive_protocol.decode_line(text), 1)
-        except HubProtocolError:
-            continue
-        return Finding(
-            "odrive",
-            baud,
-            f"an ODrive with {volts:.1f} V on its bus",
-            {"axis.kind": "odrive", "odrive.axis": 0},
-            (
-                "axis.metres_per_unit: measure it, the hub's travel in one turn of the motor in metres",
-                "axis.accept_no_device_limits: true, when end switches and a current limit are set on the ODrive",
-            ),
-        )
-    return None
+    line.write(b"\n")
+    queries = QueryLine(line)
+    queries.drain()
+    odrive = Odrive(queries, OdriveParameters())
+    try:
+        volts, version = odrive.property("vbus_voltage"), odrive.version()
+    except HubProtocolError:
+        return None
+    objection = odrive_protocol.version_objection(version)
+    if objection:
+        return Finding("odrive_other_version", baud, objection)
+    return Finding(
+        "odrive",
+        baud,
+        f"an ODrive with firmware {'.'.join(map(str, version))} and {volts:.1f} V on its bus",
+        {"axis.kind": "odrive", "odrive.axis": 0},
+        (
+            "axis.metres_per_unit: measure it, the hub's travel in one turn of the motor in metres",
+            "axis.accept_no_device_limits: true, when end switches and a current limit are set on the ODrive",
+        ),
+    )
+
+
+def _dynamixel(line: Line, baud: int, _heard: bytes, _times: list[int]) -> Finding | None:
+    line.write(dynamixel_protocol.encode(dynamixel_protocol.EVERYBODY, dynamixel_protocol.PING))
+    heard, _ = _listen(line, ANSWER_S)
+    taken = dynamixel_protocol.take_status(heard)
+    if taken is None or not dynamixel_protocol.is_sound(taken[0]):
+        return None
+    status = dynamixel_protocol.decode(taken[0])
+    model = int.from_bytes(status.parameters[:2], "little")
+    name = dynamixel_protocol.MODELS.get(model, f"servo of model {model}")
+    return Finding(
+        "dynamixel",
+        baud,
+        f"a Dynamixel {name} with number {status.servo_id} on its bus",
+        {"axis.kind": "dynamixel", "dynamixel.id": status.servo_id},
+        (
+            "axis.metres_per_unit: measure it, the hub's travel in one turn of the servo in metres",
+            "axis.accept_no_device_limits: true, when end switches are there, and limits of current are set",
+        ),
+    )

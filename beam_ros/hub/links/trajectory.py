@@ -10,17 +10,18 @@ Facts of the controller: the documents ``userdoc.rst`` and ``trajectory.rst`` of
 
 from __future__ import annotations
 
+import dataclasses
 import statistics
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from beam_ros.arrays import FloatArray, StampArray
-from beam_ros.hub.contract import HostTime, HubCapabilities, SampleBatch
+from beam_ros.hub.contract import HostTime, HubCapabilities
 from beam_ros.hub.gate.beam_guard import BeamGuard
 from beam_ros.hub.host.silence import Silence
 from beam_ros.hub.host.stamp_watch import StampWatch
@@ -38,7 +39,6 @@ SILENCE_NS = 500_000_000
 MAX_AGE_NS = 100_000_000
 """Stamps of joint states that are older, or ahead, come from another clock [ns]."""
 AGES = 50
-BATCH_POINTS = 20
 
 CAPABILITIES = HubCapabilities(
     name="trajectory_controller",
@@ -114,6 +114,64 @@ class Knots:
         )
 
 
+CONTROLLER_SETTINGS = (
+    "joints",
+    "allow_partial_joints_goal",
+    "interpolation_method",
+    "positions_upsampling.enable",
+)
+"""Parameters of a JointTrajectoryController that decide what becomes of the knots; Jazzy has all but the last, which
+later releases have."""
+
+
+def settings_objection(settings: Mapping[str, object], joint: str, *, has_velocities: bool) -> str:
+    """Return why a controller would not follow the knots as they are meant; empty where it does.
+
+    Parameters
+    ----------
+    settings : mapping
+        Those of ``CONTROLLER_SETTINGS`` that it has.
+    joint : str
+        The joint that carries the hub.
+    has_velocities : bool
+        Whether knots carry velocities; else positions alone, to be joined by straight lines.
+    """
+    joints = settings.get("joints")
+    if isinstance(joints, list) and joints:
+        if joint not in joints:
+            return (
+                f"the controller leads {', '.join(joints)}: expected {joint!r} among them; correct "
+                "trajectory.joint"
+            )
+        if len(joints) > 1 and settings.get("allow_partial_joints_goal") is False:
+            return (
+                f"the controller leads {len(joints)} joints and rejects trajectories of {joint!r} alone: expected "
+                "allow_partial_joints_goal: true among its parameters"
+            )
+    method = settings.get("interpolation_method", "splines")
+    if method != "splines":
+        return (
+            f"the controller's interpolation_method is {method}, so that it jumps from knot to knot: expected "
+            "splines, its default"
+        )
+    if settings.get("positions_upsampling.enable") and not has_velocities:
+        return (
+            "the controller's positions_upsampling.enable is true, so that it bends straight lines into splines: "
+            "expected false, or hub.command_mode acceleration"
+        )
+    return ""
+
+
+def _silence(drive_watchdog_s: float) -> str:
+    """Return what becomes of the hub when the drive's master, controller_manager, falls silent."""
+    if not drive_watchdog_s:
+        return "silence stops nothing: the drive is not stated to stop without its master (axis.drive_watchdog is 0)"
+    return (
+        f"that the drive stops {drive_watchdog_s:g} s after its master falls silent is stated, not proved "
+        "(axis.drive_watchdog); a controller that goes on without this program is not silent"
+    )
+
+
 class TrajectoryHub(HostPacedHub):
     """A hub behind a JointTrajectoryController; implements ``Hub``.
 
@@ -127,6 +185,11 @@ class TrajectoryHub(HostPacedHub):
         Publishes a trajectory.
     guard : BeamGuard, optional
         A further check of complete sequences, for limits that need a model of the beam.
+
+    Attributes
+    ----------
+    awaits_check : bool
+        Whether the controller's settings are still being asked for: the motor stays off until then.
     """
 
     def __init__(
@@ -136,16 +199,19 @@ class TrajectoryHub(HostPacedHub):
         send: Callable[[Knots], None],
         guard: BeamGuard | None = None,
     ) -> None:
-        counters = ("connections", "trajectories", "unstamped_states")
+        counters = ("trajectories", "unstamped_states")
         axis = HostAxis(
             parameters,
             guard,
             homes_here=trajectory.homes_here,
             counters=counters,
             objection=self._sequence_objection,
+            reports_course=True,
         )
-        super().__init__(axis, CAPABILITIES)
-        self._parameters = parameters
+        silence = _silence(trajectory.drive_watchdog_s)
+        super().__init__(
+            axis, dataclasses.replace(CAPABILITIES, shortcomings=(*CAPABILITIES.shortcomings, silence))
+        )
         self._settings = trajectory
         self._send = send
         self._sent_revision = 0
@@ -153,7 +219,8 @@ class TrajectoryHub(HostPacedHub):
         self._last: tuple[int, float] | None = None
         self._stamps = StampWatch(self._blame_clock)
         self._ages_ns: deque[int] = deque(maxlen=AGES)
-        self._told_ns = 0
+        self.awaits_check = False
+        self._refusal = ""
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._run, name="trajectories", daemon=True)
         self._thread.start()
@@ -196,14 +263,46 @@ class TrajectoryHub(HostPacedHub):
                 speed = (metres - self._last[1]) / ((stamp_ns - self._last[0]) * 1e-9)
             self._last = stamp_ns, metres
             self._ages_ns.append(now.unix_ns - stamp_ns)
-            self.axis.observe(metres, speed)
-            force = None if effort is None else effort / unit
-            self.axis.add_measured(stamp_ns, metres, speed, force)
+            self.axis.measure(metres, speed, stamp_ns, None if effort is None else effort / unit)
+            if self._refusal:
+                return
             if not self._silence.is_connected:
-                self.axis.connect()
-                self.axis.journal.counters["connections"] += 1
-                self.axis.journal.tell("info", "connected: joint states come")
+                self.axis.connect("joint states come")
             self._silence.end()
+
+    @property
+    def is_connected(self) -> bool:
+        """Whether joint states come, of a controller that is not refused."""
+        return self._silence.is_connected
+
+    def judge(self, objection: str) -> None:
+        """Take what there is to say against the controller's settings, empty where nothing is.
+
+        A hub that is held or moved is stopped first.
+        """
+        with self.lock:
+            self.awaits_check = False
+            self._refusal = objection
+            if objection:
+                self._refuse(time.monotonic_ns())
+
+    def leave_off(self, reason: str) -> None:
+        """Refuse what waits for the motor."""
+        with self.lock:
+            self.axis.deny(reason)
+
+    def no_state(self, reason: str) -> None:
+        """Take note of joint states that do not say where the joint is."""
+        with self.lock:
+            if not self._silence.is_connected:
+                self.axis.disconnect("status_unreadable", reason)
+
+    def _refuse(self, now_ns: int) -> None:
+        if self.axis.is_powered:
+            self.axis.fail("wrong_axis", self._refusal, now_ns)
+        else:
+            self._silence.lose()
+            self.axis.disconnect("wrong_axis", self._refusal)
 
     def _blame_clock(self, name: str, reason: str) -> None:
         self._ages_ns.clear()
@@ -233,51 +332,22 @@ class TrajectoryHub(HostPacedHub):
                 self._stamps.forget()
                 axis.disconnect("controller_silent", reason)
                 return None
-        if axis.powering:
+        elif self._refusal and self._silence.is_connected:
+            self._refuse(now_ns)
+        if axis.powering and not self.awaits_check:
             if axis.is_moving:
                 axis.deny("the hub moves: expected it at rest")
             else:
                 axis.grant(now_ns)
         axis.step(now_ns)
-        clock = axis.stamps
-        if clock is None:
-            return None
-        self._report_applied(now_ns)
-        if axis.revision == self._sent_revision:
+        clock, course = axis.stamps, axis.course
+        if clock is None or course.revision == self._sent_revision:
             return None
         # Also a ramp that is over by now: the controller follows the trajectory before it until it hears of this.
-        self._sent_revision = axis.revision
-        self._told_ns = axis.plan_ns - 1
+        self._sent_revision = course.revision
         axis.journal.counters["trajectories"] += 1
-        return Knots.of(axis.plan, clock.stamp_ns(axis.plan_ns), axis.zero, self._settings.metres_per_unit)
-
-    def _report_applied(self, now_ns: int) -> None:
-        """Report what of the trajectory that was handed over is due by now, at the rig's own ticks."""
-        axis, clock = self.axis, self.axis.stamps
-        assert clock is not None
-        if not axis.is_powered or axis.revision != self._sent_revision:
-            return
-        period_ns = self._parameters.period_ns
-        first = (self._told_ns - axis.plan_ns) // period_ns + 1
-        last = (now_ns - axis.plan_ns) // period_ns
-        if last - first < BATCH_POINTS:
-            return
-        ticks = np.arange(first, last + 1)
-        self._told_ns = axis.plan_ns + last * period_ns
-        positions, velocities, accelerations = axis.plan.sample(
-            np.asarray(ticks * (period_ns * 1e-9), dtype=np.float64)
-        )
-        mode = self._parameters.command_mode
-        axis.add_applied(
-            SampleBatch(
-                clock.stamp_ns(axis.plan_ns + int(first) * period_ns),
-                period_ns,
-                1,
-                positions=positions,
-                velocities=velocities if mode == "velocity" else None,
-                accelerations=accelerations if mode == "acceleration" else None,
-            )
-        )
+        start_ns = clock.stamp_ns(course.start_ns)
+        return Knots.of(course.plan, start_ns, axis.place.zero, self._settings.metres_per_unit)
 
     def _sequence_objection(self, plan: MotionPlan) -> str:
         """Return why a sequence cannot be handed over."""

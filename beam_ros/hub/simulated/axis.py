@@ -18,17 +18,11 @@ import numpy as np
 from beam_ros.arrays import StampArray
 from beam_ros.hub.contract import Activity, AxisState, Outcome, RequestKind
 from beam_ros.hub.faults import NO_FAULT, Fault, fault
+from beam_ros.hub.kinematics import ARRIVED, braked_velocity, command_towards, profile_velocity
 from beam_ros.hub.parameters import AxisParameters, SimulatedDevice
+from beam_ros.hub.simulated.limits import SpeedForecast, limit_reason
 from beam_ros.hub.simulated.motion import HubMotion, Snapshots
 from beam_ros.hub.simulated.plant import Plant
-from beam_ros.hub.simulated.profiles import (
-    ARRIVED,
-    SpeedForecast,
-    braked_velocity,
-    command_towards,
-    limit_reason,
-    profile_velocity,
-)
 from beam_ros.hub.simulated.sequence_buffer import SequenceBuffer
 from beam_ros.hub.simulated.state_machine import AxisEvent, AxisStateMachine
 from beam_ros.hub.simulated.transitions import (
@@ -241,9 +235,16 @@ class VirtualAxis:
 
     # What goes wrong on request -----------------------------------------------------------------------
 
-    def lie(self, offset: float, scale: float) -> None:
-        """Let the encoder read ``scale`` times the position, and ``offset`` more [m]."""
-        self._motion.lie(offset, scale)
+    def trip(self, cause: Fault, reason: str) -> None:
+        """Stop with a fault that stays, as a device does that finds an end switch or a broken encoder."""
+        if self.activity in ("setpoint", "sequence"):
+            self._react("limit", reason, cause)
+        else:
+            self._react("emergency stop", reason, cause)
+
+    def lie(self, offset: float, scale: float, drift: float = 0.0) -> None:
+        """Let the encoder read ``scale`` times the position, and ``offset`` [m] and ever more [m/s] besides."""
+        self._motion.lie(offset, scale, drift)
 
     def stick(self, *, is_stuck: bool) -> None:
         """Let the hub stand still whatever is commanded, or move again."""

@@ -17,6 +17,7 @@ import numpy as np
 from beam_ros.arrays import FloatArray, StampArray
 from beam_ros.hub.errors import SnapshotError
 from beam_ros.hub.parameters import AxisParameters, SimulatedDevice
+from beam_ros.hub.simulated.encoder import Encoder
 from beam_ros.hub.simulated.plant import Plant, Reference
 
 HISTORY_TICKS = 4096
@@ -88,7 +89,7 @@ class HubMotion:
         self.position = self.hub_position = device.initial_position
         self.velocity = self.hub_velocity = 0.0
         self._zero = device.initial_position
-        self._encoder_offset, self._encoder_scale = 0.0, 1.0
+        self._encoder = Encoder(device, parameters)
         self._is_stuck = False
         # By how much the hub lies behind its reference, without a servo that would pull it on.
         self._lost = 0.0
@@ -96,10 +97,6 @@ class HubMotion:
         self._home_error = 0.0
         self._parameters = parameters
         self._plant = plant
-        self._measures_drive = device.encoder_at == "drive"
-        self._noise_sd = device.encoder_noise
-        self._rng = np.random.default_rng(device.seed)
-        self._noise = self._next_noise()
         self._history: list[_TickStart | None] = [None] * HISTORY_TICKS
 
     @property
@@ -110,22 +107,22 @@ class HubMotion:
     @property
     def position_count(self) -> int:
         """What the encoder reads [encoder_resolution]."""
-        position = self.position if self._measures_drive else self.hub_position - self._home_error
-        return round(self.measured(position - self._zero + self._noise) / self._parameters.encoder_resolution)
+        position = self.position if self._encoder.is_at_drive else self.hub_position - self._home_error
+        return self._encoder.count(position - self._zero, self.tick)
 
     def measured(self, position: float) -> float:
-        """Return what the encoder makes of a position [m]."""
-        return position * self._encoder_scale + self._encoder_offset
+        """Return what the encoder makes of a position [m] now."""
+        return self._encoder.measured(position, self.tick)
 
     @property
     def velocity_count(self) -> int:
         """Measured speed [encoder_resolution / period]."""
-        velocity = self.velocity if self._measures_drive else self.hub_velocity
+        velocity = self.velocity if self._encoder.is_at_drive else self.hub_velocity
         return round(velocity * self._parameters.period / self._parameters.encoder_resolution)
 
-    def lie(self, offset: float, scale: float) -> None:
-        """Let the encoder read ``scale`` times the position, and ``offset`` more [m]."""
-        self._encoder_offset, self._encoder_scale = offset, scale
+    def lie(self, offset: float, scale: float, drift: float = 0.0) -> None:
+        """Let the encoder read ``scale`` times the position, and ``offset`` [m] and ever more [m/s] besides."""
+        self._encoder.lie(offset, scale, drift, self.tick)
 
     def stick(self, *, is_stuck: bool) -> None:
         """Let the hub stand still whatever is commanded, or move again; without a servo it has lost the steps."""
@@ -255,10 +252,7 @@ class HubMotion:
 
     def _count_tick(self) -> None:
         self.tick += 1
-        self._noise = self._next_noise()
-
-    def _next_noise(self) -> float:
-        return self._noise_sd * float(self._rng.standard_normal()) if self._noise_sd else 0.0
+        self._encoder.turn()
 
     def snapshots(self, times_ns: Sequence[int] | StampArray) -> Snapshots:
         """Return hub and beam at exact instants of the recent past, also inside ticks.

@@ -30,6 +30,7 @@ from beam_ros.hub.gate.sequence_assembly import BLOCK_TICKS, Sequence
 from beam_ros.hub.host_clock import HostClock
 from beam_ros.hub.journal import Journal
 from beam_ros.hub.simulated.axis import VirtualAxis
+from beam_ros.hub.simulated.drifting_clock import DriftingClock
 from beam_ros.hub.simulated.motion import Snapshots
 from beam_ros.hub.ticks import TickQueue, sample_batches
 
@@ -70,9 +71,7 @@ class SimulatedHub:
         self._gate = CommandGate(axis.parameters, guard, in_background=checks_in_background)
         self._sequence: Sequence | None = None
         self._clock: HostClock | None = None
-        self._rate_ppb = round(axis.device.clock_drift_ppm * 1000)
-        self._anchor_stamp_ns = 0
-        self._anchor_device_ns = axis.device_ns
+        self._device_clock = DriftingClock(0, axis.device_ns, axis.device.clock_drift_ppm)
         self._epoch = 1
         self._last_steady_ns = 0
         self._next_sync_ns = 0
@@ -146,6 +145,7 @@ class SimulatedHub:
 
     def close(self) -> None:
         """Bring the axis to rest and disable it."""
+        self._gate.abort_loading("the hub was closed")
         self.axis.emergency_stop(fault("session_closed"), "the hub was closed")
         while self.axis.activity != "idle":
             self.axis.advance(self.axis.device_ns + self._parameters.batch_ns)
@@ -154,13 +154,11 @@ class SimulatedHub:
 
     def device_ns(self, stamp_ns: int) -> int:
         """Return the device time [ns] of a stamp [ns, UNIX]."""
-        elapsed_ns = stamp_ns - self._anchor_stamp_ns
-        return self._anchor_device_ns + elapsed_ns + elapsed_ns * self._rate_ppb // 1_000_000_000
+        return self._device_clock.device_ns(stamp_ns)
 
     def stamp_ns(self, device_ns: int) -> int:
         """Return the stamp [ns, UNIX] of a device time [ns]."""
-        elapsed_ns = device_ns - self._anchor_device_ns
-        return self._anchor_stamp_ns + elapsed_ns * 1_000_000_000 // (1_000_000_000 + self._rate_ppb)
+        return self._device_clock.host_ns(device_ns)
 
     @property
     def reached_ns(self) -> int:
@@ -196,7 +194,7 @@ class SimulatedHub:
     def _host_clock(self, now: HostTime) -> HostClock:
         if self._clock is None:
             self._clock = HostClock(now, self._factor)
-            self._anchor_stamp_ns = now.unix_ns
+            self._device_clock.set(now.unix_ns, self.axis.device_ns)
             self._last_steady_ns = self._next_sync_ns = now.steady_ns
         return self._clock
 
@@ -243,8 +241,7 @@ class SimulatedHub:
         self._ticks.add(self.axis.advance(self.axis.device_ns + patience_ns))
         batches = self._full_batches()
         self._ticks.clear()
-        self._anchor_stamp_ns = clock.stamp_ns(now.steady_ns)
-        self._anchor_device_ns = self.axis.device_ns
+        self._device_clock.set(clock.stamp_ns(now.steady_ns), self.axis.device_ns)
         self._epoch += 1
         self._journal.counters["pauses"] += 1
         self._journal.tell("error", f"the host paused for {pause_ns * 1e-9:.1f} s; new clock epoch")

@@ -10,14 +10,17 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from beam_ident import InputSignal, Prior, TimeRecord
+from beam_ros.bags.apparatus import MEASURED, Apparatus, apparatus_of
 from beam_ros.bags.errors import BagError
 from beam_ros.bags.reading import Bag
 from beam_ros.errors import UsageError
+from beam_ros.files.formats import is_column_file
 from beam_ros.offline.loading.described_rig import described_rig
 from beam_ros.offline.loading.hub_drive import RecordedDrive, hub_drive
 from beam_ros.offline.loading.markers import marker_outputs
@@ -27,7 +30,8 @@ from beam_ros.rig.film_points import rig_with_points
 from beam_ros.rig.rig import Rig
 from beam_ros.signals.camera_lateness import CameraLateness, camera_lateness, on_time
 from beam_ros.signals.descriptions import Signals, SignalSource
-from beam_ros.signals.fields import read_field
+from beam_ros.signals.fields import FieldSamples, read_field
+from beam_ros.signals.file_columns import read_file_signals
 from beam_ros.signals.records import SensorOutput, input_signal, output_signal, records_of_one_model
 from beam_ros.signals.stray_stamps import well_placed
 
@@ -56,6 +60,7 @@ class Experiment:
     further : tuple of TimeRecord -- sensors of other kinds, and further segments
     latency : Prior or None -- what is known of the time by which outputs are late; None: what is usual
     late_s : float -- what was taken off the markers' stamps already, because they were late by more than a fit finds
+    apparatus : Apparatus -- whether a beam was measured or simulated, and whether its date is one
     """
 
     path: AnyPath
@@ -68,6 +73,7 @@ class Experiment:
     further: tuple[TimeRecord, ...] = ()
     latency: Prior | None = None
     late_s: float = 0.0
+    apparatus: Apparatus = MEASURED
 
     @property
     def records(self) -> tuple[TimeRecord, ...]:
@@ -89,15 +95,15 @@ def load_experiment(
     start_s: float | None = None,
     end_s: float | None = None,
 ) -> Experiment:
-    """Read a bag as one experiment.
+    """Read a bag, or a file of columns, as one experiment.
 
     Parameters
     ----------
-    path : Path or RemotePath -- the bag
+    path : Path or RemotePath -- the bag, or a file in a format of ``beam_ros.files``
     rig : Rig, optional -- None: the rig that the bag itself describes, if it does
     structure : str -- base_motion, acceleration, velocity or force; "auto": by the hub's command mode
     options : FitOptions, optional -- signals, segments and hold are taken from it
-    start_s, end_s : float, optional -- only what lies between these times after the bag's first message [s]
+    start_s, end_s : float, optional -- only what lies between these times after the first message, or row [s]
 
     Returns
     -------
@@ -109,16 +115,22 @@ def load_experiment(
         The bag is missing, damaged, or lacks a topic that identification needs.
     UsageError
         A signal names no field, or its samples do not go together with the others.
+    ColumnFileError
+        A file of columns cannot be read, lacks a column or a unit, or has times that cannot be right.
     """
     options = options or FitOptions()
+    if is_column_file(path):
+        return _columns_experiment(Path(str(path)), rig, structure, options, start_s, end_s)
     signals = options.signals
+    signals.require_topics()
     notes: list[str] = []
     late: CameraLateness | None = None
     with Bag(path, start_s=start_s, end_s=end_s) as bag:
         if not signals.outputs:
             bag.require("beam/displacement")
-        bag.read("excitation/info", "hub/sequence_state", VIDEO_TOPIC)
+        bag.read("excitation/info", "hub/sequence_state", VIDEO_TOPIC, "/diagnostics")
         info = bag.excitation_info() or {}
+        apparatus = apparatus_of(bag, info)
         rig = rig or _rig_of(path, info, signals, notes)
         videos = bag.texts(VIDEO_TOPIC)
         if rig is not None and videos and "points" in videos[-1]:
@@ -126,9 +138,14 @@ def load_experiment(
         drive = hub_drive(bag, rig, structure, info, notes) if signals.drive is None else None
         if drive is None:
             assert signals.drive is not None
-            drive = _signal_drive(bag, signals.drive, notes)
+            drive = _signal_drive(
+                read_field(bag, signals.drive.topic, signals.drive.field), signals.drive, notes
+            )
         if signals.outputs:
-            outputs = [_signal_output(bag, source, drive.origin_ns, notes) for source in signals.outputs]
+            outputs = [
+                _signal_output(read_field(bag, own.topic, own.field), own, drive.origin_ns, notes)
+                for own in signals.outputs
+            ]
         else:
             displacements = well_placed(bag, bag.displacements(), drive.origin_ns, notes)
             markers = marker_outputs(displacements, drive.origin_ns, rig, notes)
@@ -144,12 +161,57 @@ def load_experiment(
         tolerance = float(videos[-1].get("synchronisation", {}).get("drift_sd", 0.0))
     if late is not None:
         tolerance = late.rate_tolerance(tolerance)
-    clock_rate = Prior(clock_rate.mean, math.hypot(clock_rate.sd, tolerance))
+    shares_clock = {own.topic for own in signals.outputs} == {signals.drive.topic if signals.drive else ""}
+    chosen, records = _records(path.name, structure, options, drive, outputs, notes, info)
+    return Experiment(
+        path,
+        records[0],
+        rig,
+        chosen,
+        Prior(clock_rate.mean, math.hypot(clock_rate.sd, tolerance)),
+        tuple(notes),
+        info,
+        further=records[1:],
+        latency=None if drive.is_hub or shares_clock else Prior(0.0, math.inf),
+        late_s=late.late_s if late else 0.0,
+        apparatus=apparatus,
+    )
+
+
+def _columns_experiment(
+    path: Path,
+    rig: Rig | None,
+    structure: str,
+    options: FitOptions,
+    start_s: float | None,
+    end_s: float | None,
+) -> Experiment:
+    """Read a file of columns, which share one clock."""
+    notes: list[str] = []
+    (source, samples), *others = read_file_signals(
+        path, options.signals, options.time, notes, start_s=start_s, end_s=end_s
+    )
+    drive = _signal_drive(samples, source, notes)
+    outputs = [_signal_output(own, told, drive.origin_ns, notes) for told, own in others]
+    chosen, records = _records(path.name, structure, options, drive, outputs, notes, {})
+    return Experiment(path, records[0], rig, chosen, drive.clock_rate, tuple(notes), {}, further=records[1:])
+
+
+def _records(
+    name: str,
+    structure: str,
+    options: FitOptions,
+    drive: RecordedDrive,
+    outputs: Sequence[SensorOutput],
+    notes: list[str],
+    info: Mapping[str, Any],
+) -> tuple[str, tuple[TimeRecord, ...]]:
+    """Return the structure, and the records of every stretch of the input and every kind of sensor."""
     chosen, records = "", tuple[TimeRecord, ...]()
     for signal, beside in _stretches(drive, outputs, notes):
         signal = signal if options.hold is None else replace(signal, hold=options.hold)
         chosen, own = records_of_one_model(
-            signal, drive.kind, beside, drive.origin_ns, path.name, has_rigid_body=drive.is_hub
+            signal, drive.kind, beside, drive.origin_ns, name, has_rigid_body=drive.is_hub
         )
         records += own
     if structure != "auto" and not drive.is_hub:
@@ -162,20 +224,7 @@ def load_experiment(
     records = tuple(_trimmed(record, info) for record in records)
     if options.segments:
         records = tuple(part for record in records for part in _cut(record, options.segments))
-    shares_clock = {own.topic for own in signals.outputs} == {signals.drive.topic if signals.drive else ""}
-    latency = None if drive.is_hub or shares_clock else Prior(0.0, math.inf)
-    return Experiment(
-        path,
-        records[0],
-        rig,
-        chosen,
-        clock_rate,
-        tuple(notes),
-        info,
-        further=records[1:],
-        latency=latency,
-        late_s=late.late_s if late else 0.0,
-    )
+    return chosen, records
 
 
 def _rig_of(path: AnyPath, info: Mapping[str, Any], signals: Signals, notes: list[str]) -> Rig | None:
@@ -191,9 +240,8 @@ def _rig_of(path: AnyPath, info: Mapping[str, Any], signals: Signals, notes: lis
         return None
 
 
-def _signal_drive(bag: Bag, source: SignalSource, notes: list[str]) -> RecordedDrive:
-    """Read an input by its topic and field."""
-    samples = read_field(bag, source.topic, source.field)
+def _signal_drive(samples: FieldSamples, source: SignalSource, notes: list[str]) -> RecordedDrive:
+    """Return the input that a field or a column tells of."""
     origin_ns = int(samples.stamps_ns[0])
     notes += samples.notes(origin_ns)
     notes.append(f"input {source.title} is a {source.input_kind}, {source.held} between samples")
@@ -201,11 +249,12 @@ def _signal_drive(bag: Bag, source: SignalSource, notes: list[str]) -> RecordedD
     return RecordedDrive((signal,), source.input_kind, origin_ns, Prior(0.0, 0.0), is_hub=False)
 
 
-def _signal_output(bag: Bag, source: SignalSource, origin_ns: int, notes: list[str]) -> SensorOutput:
-    """Read an output by its topic and field."""
-    samples = read_field(bag, source.topic, source.field)
+def _signal_output(
+    samples: FieldSamples, source: SignalSource, origin_ns: int, notes: list[str]
+) -> SensorOutput:
+    """Return the output that a field or a column tells of."""
     notes += samples.notes(origin_ns)
-    notes.append(f"output {source.title} is taken for {source.output_kind}, in {source.unit}")
+    notes.append(f"output {source.title} is taken for {source.output_kind}, in {source.output_unit}")
     return output_signal(source, samples, origin_ns)
 
 

@@ -46,6 +46,7 @@ class FitOptions:
     drive_mass : float or None -- of a compliant drive of that axis, ahead of its spring [kg]
     encoder : str -- whose position the axis measures, "hub" or "drive"
     signals : Signals -- input and outputs that are not the rig's own
+    time : str -- of a file of columns: which is the time, or at which rate its rows come
     """
 
     estimator: str = "modal"
@@ -65,6 +66,7 @@ class FitOptions:
     drive_mass: float | None = None
     encoder: str = "hub"
     signals: Signals = field(default_factory=Signals)
+    time: str = ""
 
     @staticmethod
     def of(settings: IdentifierSettings) -> FitOptions:
@@ -97,6 +99,7 @@ class FitOptions:
                 listed(settings.outputs),
                 Path(settings.signals) if settings.signals else None,
             ),
+            time=settings.time,
         )
 
     def settings(self, structure: str, clock: Prior, latency: Prior | None) -> EstimatorSettings:

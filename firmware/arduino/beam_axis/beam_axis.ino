@@ -18,24 +18,25 @@ namespace {
 
 constexpr int step_pin = 2;
 constexpr int direction_pin = 3;
-constexpr int enable_pin = 4;  // low: the drive has current
+constexpr int enable_pin = 4;  // low: the drive has current; it floats at a reset, and wants a pull-up outside
 constexpr int home_pin = 5;    // high on the negative side of home
 constexpr int low_end_pin = 6;
 constexpr int high_end_pin = 7;
-constexpr int alarm_pin = 8;
+constexpr int alarm_pin = 8;  // all inputs close to ground while all is well: a cut wire reads as a hit or an alarm
 constexpr double step_length = 5e-6;  // one step [m]
 constexpr std::uint32_t pulse_us = 2;
 
 class ArduinoBoard final : public beam::Board {
 public:
     void begin() {
-        for (int pin : {step_pin, direction_pin, enable_pin}) {
+        // Before the pin drives: it would be low, and the drive on.
+        digitalWrite(enable_pin, HIGH);
+        for (int pin : {enable_pin, step_pin, direction_pin}) {
             pinMode(pin, OUTPUT);
         }
         for (int pin : {home_pin, low_end_pin, high_end_pin, alarm_pin}) {
             pinMode(pin, INPUT_PULLUP);
         }
-        digitalWrite(enable_pin, HIGH);
         // Two starts hardly read the same noise; a board with a random number generator has better.
         boot_id_ = static_cast<std::uint32_t>(micros()) ^ (static_cast<std::uint32_t>(analogRead(0)) << 20U);
     }
@@ -62,7 +63,7 @@ public:
         reading.is_below_home = is_below_home_;
         reading.is_at_low_end = digitalRead(low_end_pin) == HIGH;
         reading.is_at_high_end = digitalRead(high_end_pin) == HIGH;
-        reading.has_drive_alarm = digitalRead(alarm_pin) == LOW;
+        reading.has_drive_alarm = digitalRead(alarm_pin) == HIGH;
         return reading;
     }
 

@@ -111,3 +111,71 @@ def test_dates_are_refused_as_their_unit_would_be_lost():
     dates = np.datetime64("2026-01-01", "ns") + np.arange(5) * np.timedelta64(10, "ms")
     with pytest.raises(RecordError, match="are dates"):
         OutputSignal("y", "m", dates, np.arange(5.0))
+
+
+def test_arrays_become_a_record_with_the_names_and_units_that_are_given():
+    t = 0.01 * np.arange(5)
+    record = TimeRecord.from_arrays(
+        t,
+        u={"force": t},
+        y={"tip": 2 * t, "low": 3 * t},
+        units={"force": "N", "tip": "m"},
+        hold="linear",
+        name="a",
+    )
+    assert [(s.name, s.unit) for s in record.inputs] == [("force", "N")]
+    assert [(s.name, s.unit) for s in record.outputs] == [("tip", "m"), ("low", "")]
+    assert record.inputs[0].hold == "linear"
+    np.testing.assert_array_equal(record.output("low").values, 3 * t)
+    np.testing.assert_array_equal(record.output("low").times_s, t)
+
+
+def test_unnamed_columns_are_numbered_and_one_alone_is_not():
+    record = TimeRecord.from_arrays((0.5, 0.1), u=np.zeros(4), y=np.arange(8.0).reshape(4, 2))
+    assert [s.name for s in record.inputs] == ["u"]
+    assert record.output_names == ("y1", "y2")
+    np.testing.assert_array_equal(record.output("y2").values, [1.0, 3.0, 5.0, 7.0])
+    assert record.output("y2").times_s[0] == 0.5
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"u": np.zeros(3)}, r"different lengths \(u 3, y 4\)"),
+        ({"y": np.zeros((2, 2, 2))}, r"shape \(2, 2, 2\); expected"),
+        ({"units": {"x": "m"}}, "units name 'x'.*among u, y"),
+        ({"y": {"u": np.zeros(4)}}, "used twice"),
+    ],
+)
+def test_arrays_that_are_no_signals_are_refused(change, says):
+    given = {"u": np.zeros(4), "y": np.zeros(4)} | change
+    with pytest.raises(RecordError, match=says):
+        TimeRecord.from_arrays((0.0, 0.1), **given)
+
+
+def table_of(kind):
+    """Return a small table with a force, a tip and the time, and what its dates are worth."""
+    columns = {"t": 0.1 * np.arange(4), "force": np.arange(4.0), "tip": np.arange(4.0) ** 2}
+    if kind == "mapping":
+        return columns
+    if kind == "pyarrow":
+        return pytest.importorskip("pyarrow", exc_type=ImportError).table(columns)
+    return pytest.importorskip("pandas", exc_type=ImportError).DataFrame(columns)
+
+
+@pytest.mark.parametrize("kind", ["mapping", "pyarrow", "pandas"])
+def test_a_table_of_any_library_becomes_a_record(kind):
+    record = TimeRecord.from_dataframe(table_of(kind), u="force", y=["tip"], time="t", units={"force": "N"})
+    np.testing.assert_array_equal(record.input("force").values, np.arange(4.0))
+    np.testing.assert_array_equal(record.output("tip").times_s, 0.1 * np.arange(4))
+    with pytest.raises(RecordError, match="no column 'base'; expected one of t, force, tip"):
+        TimeRecord.from_dataframe(table_of(kind), u="base", y="tip", time="t")
+
+
+def test_dates_become_seconds_and_the_first_of_them_is_kept():
+    columns = table_of("mapping") | {"t": np.array("2026-01-01T00:00:00.5", "M8[ms]") + 100 * np.arange(4)}
+    record = TimeRecord.from_dataframe(columns, u="force", y="tip", time="t")
+    np.testing.assert_allclose(record.input("force").times_s, 0.1 * np.arange(4), atol=1e-15)
+    assert record.start_ns == 1_767_225_600_500_000_000
+    with pytest.raises(RecordError, match="a dict has no index; expected the column"):
+        TimeRecord.from_dataframe(columns, u="force", y="tip")

@@ -24,10 +24,12 @@ from beam_ident import (
     Prbs,
     Pulse,
     Recipe,
+    ShapedMove,
     ShapedMultisine,
     Sine,
     Step,
     SteppedSine,
+    Trajectory,
 )
 from beam_ident.excitation import RECIPES as KINDS
 from beam_ident.excitation import describe_recipe
@@ -60,6 +62,10 @@ RECIPES = [
     PointToPoint(still=1.0),
     PointToPoint(waypoints=(0.1, 0.3, 0.0), profile="quintic", still=0.0),
     PointToPoint(waypoints=(-1e-5, 0.0), profile="cycloidal", dwell=0.0),
+    Trajectory(still=1.0),
+    Trajectory("velocity", (3.0, 3.7, 4.4, 5.1, 5.8), (0.0, 0.01, 0.0, -0.01, 0.0), "a.csv", still=0.0),
+    Trajectory("acceleration", (0.0, 0.7, 1.4, 2.1), (0.1, -0.1, -0.1, 0.1), still=0.0),
+    ShapedMove(move_to=0.0004, command=(0.4, *([0.0] * 999), -0.4), dwell=1.0, still=0.5),
 ]
 
 
@@ -74,6 +80,7 @@ def test_every_kind_is_among_the_recipes_tested_here():
 @pytest.mark.parametrize("recipe", RECIPES, ids=name_of)
 @pytest.mark.parametrize("period", [1e-3, 0.7e-3], ids=name_of)
 def test_exact_integration_of_the_held_accelerations_ends_at_rest_at_home(recipe, period):
+    period = getattr(recipe, "command_period", period)  # a command is for one tick, and for no other
     excitation = recipe.sample(period)
     velocity = position = 0.0
     for a in excitation.accelerations.tolist():
@@ -91,7 +98,8 @@ def test_a_recipe_survives_json_exactly(recipe):
     again = Recipe.from_dict(json.loads(json.dumps(recipe.to_dict())))
     assert again == recipe
     assert again.to_dict() == recipe.to_dict()
-    np.testing.assert_array_equal(again.sample(7e-4).accelerations, recipe.sample(7e-4).accelerations)
+    period = getattr(recipe, "command_period", 7e-4)
+    np.testing.assert_array_equal(again.sample(period).accelerations, recipe.sample(period).accelerations)
 
 
 @pytest.mark.parametrize("recipe", RECIPES, ids=name_of)

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -36,6 +38,19 @@ def test_a_candidate_lowers_the_cost_as_much_as_a_fit_with_it_does(is_noise_know
         expected = cost(fixed) - cost([*fixed, basis.modal(omega, zeta, 0.0).value])
         # The scan's ridge is 1e-6 of a column, and the logarithm multiplies by what is explained over what is left.
         assert gain == pytest.approx(expected, rel=1e-5)
+
+
+def test_columns_that_depend_on_those_before_take_nothing_from_those_behind():
+    times = np.arange(400) * 0.01
+    ringing = np.exp(-0.1 * times) * np.cos(20.0 * times) + 0.4 * np.exp(-0.5 * times) * np.sin(55.0 * times)
+    values = ringing + 0.05 * np.random.default_rng(0).standard_normal(400)
+    problem = StackedRegression([_DecayBasis(times, 0.0)], [[Part(0, values, np.full(400, 20.0))]], True)
+    start = np.array([20.0, 55.0]), np.array([0.005, 0.009])
+    two = fit_modes(problem, *start, ClockState(), Prior(), Prior(), max_iterations=0)
+    first_twice = dataclasses.replace(two, omegas=two.omegas[[0, 0, 1]], zetas=two.zetas[[0, 0, 1]])
+    candidates = np.array([30.0, 90.0]), np.array([0.01, 0.02])
+    expected = likelihood_gains(problem, two, *candidates)
+    np.testing.assert_allclose(likelihood_gains(problem, first_twice, *candidates), expected, rtol=1e-9)
 
 
 def test_a_candidate_of_a_late_response_counts_as_much_as_a_fit_with_it():

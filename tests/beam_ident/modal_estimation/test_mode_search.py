@@ -46,10 +46,10 @@ def test_a_mode_goes_when_weights_speak_against_it_or_when_it_is_the_idle_twin_o
     monkeypatch, complaint, second, settles, sigma_without, n_left
 ):
     class Search(ModeSearch):
-        chosen_entry = 0
         band = None
 
         def __init__(self):
+            self._present = mode_search.Tried(None, 0)
             self.entries = [self._entry(None, "")]
 
         def propose(self, fit, excluded):

@@ -8,7 +8,7 @@ import pytest
 from beam_ident import IdentificationResult, ModalModel, TimeRecord, identify
 from beam_ident.modal import regression
 from beam_ident.modal_estimation import weighted_fit
-from beam_ident.modal_identification import fit_tests, identification_task, time_search
+from beam_ident.modal_identification import estimation, fit_tests, time_search
 from tests.beam_ident.modal.test_restarts import damaged
 from tests.beam_ident.modal_estimation.test_weighted_fit import with_encoder_noise
 from tests.beam_ident.modal_identification.test_output_delays import late
@@ -20,8 +20,8 @@ def in_pieces(monkeypatch) -> None:
     """Take a record of a thousand samples for a long one."""
     monkeypatch.setattr(regression, "MAX_WHOLE", 500)
     monkeypatch.setattr(regression, "_PIECE_ROWS", 200)
-    monkeypatch.setattr(identification_task, "_MANY_STAMPS", 500)
-    for module in (identification_task, time_search, fit_tests):
+    monkeypatch.setattr(estimation, "_MANY_STAMPS", 500)
+    for module in (estimation, time_search, fit_tests):
         monkeypatch.setattr(module, "THINNED", 400)
     monkeypatch.setattr(weighted_fit, "_STRETCH", 450)
 

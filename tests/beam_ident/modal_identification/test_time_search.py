@@ -3,9 +3,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from beam_ident import LowPass, ModalStructure, identify
+from beam_ident import ModalStructure, identify
 from beam_ident.data.own_clocks import OwnClock
-from beam_ident.modal_identification.identification_task import _Turns
+from beam_ident.modal_identification.conditions import Conditions
 from benchmarks.ident.supersets import hard_record
 
 DRIFTING = ModalStructure("receptance", has_free_response=False)
@@ -65,9 +65,8 @@ def test_clocks_that_do_not_settle_end_at_the_likeliest_fit_and_are_named():
     assert any("The clocks of y0 did not settle" in own for own in more.warnings)
 
 
-def test_the_ends_of_turns_keep_the_clocks_that_they_were_found_with():
-    clocks, low_passes = {"y0": OwnClock(1e-3)}, {"y0": LowPass(2e-3)}
-    turns = _Turns(clocks, most=6, low_passes=low_passes)
-    turns.go_on({"y0": OwnClock(5e-3)}, {}, None)  # type: ignore[arg-type]  # an end is not looked at
-    assert turns.clocks == {"y0": OwnClock(6e-3)}
-    assert clocks == {"y0": OwnClock(1e-3)}
+def test_conditions_keep_the_clocks_that_an_end_was_found_with():
+    before = Conditions((), MOVING, clocks={"y0": OwnClock(1e-3)})
+    after = before.moved({"y0": OwnClock(5e-3), "y1": OwnClock(2e-3, 1e-4)})
+    assert after.clocks == {"y0": OwnClock(6e-3), "y1": OwnClock(2e-3, 1e-4, True)}
+    assert before.clocks == {"y0": OwnClock(1e-3)}

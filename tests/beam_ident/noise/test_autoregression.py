@@ -7,6 +7,7 @@ from scipy.signal import lfilter
 
 from beam_ident import FrequencyRecord, analyse_modes, fit_frequency_modes, stabilisation_chart
 from beam_ident.noise.autoregression import (
+    ColouredRows,
     ScoreCovariance,
     autoregression,
     excess_over_lines,
@@ -135,3 +136,15 @@ def test_what_a_model_took_up_of_slow_noise_is_given_back():
     # One estimate scatters by 0.025, and is itself 3 / n too small.
     assert both == pytest.approx(pole - 3.0 / n, abs=0.012)
     assert alone < pole - 0.03
+
+
+def test_rows_behind_a_colour_have_the_products_that_it_correlates():
+    n, colour = 3000, np.array([1.0, -0.8])
+    one, other = np.random.default_rng(5).standard_normal((2, n, 2))
+    behind = [ColouredRows(colour).passed(own) for own in (one, other)]
+    expected = one.T @ toeplitz(0.8 ** np.arange(n)) @ other
+    # What rings on after the last of 3000 rows is left out.
+    assert behind[0].T @ behind[1] == pytest.approx(expected, abs=0.01 * np.sqrt(n) * 9.0)
+    pieces = ColouredRows(colour)
+    joined = np.concatenate([pieces.passed(one[:1000]), pieces.passed(one[1000:])])
+    assert joined == pytest.approx(behind[0], abs=1e-12)

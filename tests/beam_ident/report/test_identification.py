@@ -36,7 +36,7 @@ def theory():
         np.array(ZETAS),
         0.992 * np.array(OMEGAS),
         {"thickness": np.full(3, 0.02), "length": np.full(3, -0.003)},
-        2.5,
+        False,
         {"z285": np.ones(3)},
         {"z285": np.full(3, 0.1)},
         np.linspace(0.0, 0.3, 20),
@@ -80,13 +80,17 @@ def test_the_report_has_every_section_in_the_order_of_a_reader(page):
     assert headings == [
         "Verdict",
         "Modes",
+        "Validation",
+        "Assumptions",
+        "Before you sign",
+        "Modes and shapes",  # the evidence begins
         "Data quality",
         "Model",
-        "Fit",
+        "Residuals",
         "Frequency response",
         "Order",
         "Theory",
-        "Validation",
+        "Predictions",
         "Linearity and repeatability",
         "Provenance",
     ]
@@ -97,7 +101,17 @@ def test_every_figure_has_a_caption_a_name_and_words_for_those_who_do_not_see_it
     n = text.count("<figure>")
     assert n == len(page.figures)
     assert n == text.count("<figcaption") == text.count('role="img" aria-label="')
-    assert {"record", "fit", "coherence", "response", "stabilisation", "shapes", "poles"} <= set(page.figures)
+    assert {
+        "record",
+        "fit",
+        "modes",
+        "response",
+        "residuals",
+        "spectra",
+        "stabilisation",
+        "shapes",
+        "poles",
+    } <= set(page.figures)
     assert "validation-another-z010--z225--z285" in page.figures
 
 

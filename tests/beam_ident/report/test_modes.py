@@ -9,7 +9,6 @@ pytest.importorskip("matplotlib")
 
 from beam_ident import Prior, identify
 from beam_ident.report.evidence import ErrorSources, mode_rows
-from beam_ident.report.modes import budget_of
 from tests.beam_ident.truth import beam_record
 
 
@@ -23,11 +22,11 @@ def unsure():
 
 @pytest.mark.slow
 def test_the_parts_add_up_to_what_the_model_states(unsure):
-    _, modes = unsure
+    model, modes = unsure
     for mode in modes:
-        of_omega, of_zeta = budget_of(mode, ErrorSources())
-        assert of_omega.together == pytest.approx(mode.omega_sd, rel=1e-6)
-        assert of_zeta.together == pytest.approx(mode.zeta_sd, rel=1e-6)
+        omega_sd, zeta_sd = (column[mode.number - 1] for column in model.modes()[2:])
+        assert mode.omega_sd == pytest.approx(omega_sd, rel=1e-6)
+        assert mode.zeta_sd == pytest.approx(zeta_sd, rel=1e-6)
 
 
 @pytest.mark.slow
@@ -38,21 +37,20 @@ def test_what_the_clock_contributes_is_what_another_clock_would_have_changed(uns
     slopes = (held[1].natural_frequencies - held[0].natural_frequencies) / (2.0 * off)
     for mode, slope in zip(modes, slopes, strict=True):
         expected = abs(slope) * model.clock_rate_sd
-        assert budget_of(mode, ErrorSources())[0].clock == pytest.approx(expected, rel=0.05)
+        assert mode.of_omega.clock == pytest.approx(expected, rel=0.05)
 
 
 @pytest.mark.slow
 def test_a_known_clock_takes_no_part():
     model = identify(beam_record(1), n_modes=2, clock_rate=Prior(0.0, 0.0)).model
-    of_omega, _ = budget_of(mode_rows((model,))[0], ErrorSources())
-    assert of_omega.clock == 0.0
+    assert mode_rows((model,))[0].of_omega.clock == 0.0
 
 
 def test_time_base_and_temperature_are_added_where_they_are_given(unsure):
-    mode = unsure[1][0]
-    bare = budget_of(mode, ErrorSources())[0]
+    model, (mode, *_) = unsure
+    bare = mode.of_omega
     assert np.isnan(bare.temperature)
-    full = budget_of(mode, ErrorSources(1e-3, 2.0, -1.25e-4))[0]
+    full = mode_rows((model,), ErrorSources(1e-3, 2.0, -1.25e-4))[0].of_omega
     assert full.time_base == pytest.approx(1e-3 * mode.omega)
     assert full.temperature == pytest.approx(2.5e-4 * mode.omega)
     assert full.together == pytest.approx(np.sqrt(bare.together**2 + full.time_base**2 + full.temperature**2))

@@ -8,7 +8,7 @@ from beam_ident.transfer_function.model import TransferFunctionModel
 from beam_ident.transfer_function_estimation.common_poles import estimate_common_poles
 from benchmarks.ident.common_poles import TwoInputsTwoOutputs
 from benchmarks.ident.supersets import hard_record
-from tests.beam_ident.rao_garnier import PARAMETERS, PERIOD_S, prbs
+from tests.beam_ident.rao_garnier import PARAMETERS, PERIOD_S, noise_level, prbs
 
 DENOMINATOR = np.concatenate([[1.0], PARAMETERS[:4]])
 NUMERATORS = (PARAMETERS[4:], np.array([30.0, -50.0, 900.0]))
@@ -130,3 +130,23 @@ def test_a_local_optimum_of_common_poles_is_left_for_that_of_a_structure_inside(
     fits = [estimate_common_poles(hard, *degrees, has_offset=True) for degrees in ((2, 1), (3, 1))]
     small, large = (sum(float(np.log(left @ left)) for left in own.residuals) for own in fits)
     assert large <= small + 1e-6  # 0.25 more, with poles that looked known
+
+
+def test_a_second_output_with_the_noise_of_the_first_tells_nothing_more():
+    """Taken for two witnesses, they would state standard deviations that are too small by the square root of two."""
+    rng = np.random.default_rng(8)
+    stamps = np.sort(rng.uniform(0.01, 19.9, 1200))
+    drive = InputSignal("u", "", (0.0, PERIOD_S), prbs(2000))
+    system = TransferFunctionModel(PARAMETERS[4:], DENOMINATOR, 0.0, np.zeros((7, 7)), 0.0)
+    clean = system.simulate(drive, stamps)
+    noise = rng.standard_normal((2, len(stamps))) * noise_level(clean, 10.0)
+
+    def estimated(*noises: np.ndarray) -> np.ndarray:
+        outputs = tuple(OutputSignal(f"y{k}", "", stamps, clean + own) for k, own in enumerate(noises))
+        model = estimate_common_poles(TimeRecord((drive,), outputs), 4, 1).models[0]
+        return np.asarray(model.standard_deviations[:6])
+
+    alone, twice = estimated(noise[0]), estimated(noise[0], noise[0])
+    assert twice == pytest.approx(alone, rel=0.02)
+    # Of the same noise drawn anew the poles are known better; 1200 samples know a level to 2 %.
+    assert estimated(*noise)[:4] == pytest.approx(alone[:4] / np.sqrt(2.0), rel=0.1)

@@ -16,7 +16,7 @@ from beam_ident import (
 from beam_ident.noise.scores import ScoreTest
 from beam_ident.transfer_function_estimation.output_error import OutputErrorProblem
 from beam_ident.transfer_function_estimation.record_share import Nuisances, Path, RecordShare, usable_samples
-from beam_ident.transfer_function_estimation.srivc import Optimum, _Chain, are_known, widened
+from beam_ident.transfer_function_estimation.srivc import are_known
 from beam_ident.transfer_function_estimation.state_variable_filter import stable_coefficients
 from benchmarks.ident.supersets import hard_record
 
@@ -204,38 +204,3 @@ def test_a_pole_that_may_not_decay_is_hardly_known(zeta, is_enough):
     case = problem(own_poles=False)
     theta = np.polymul([1.0, 2.0 * zeta, 1.0], [1.0, 1.0])[1:]
     assert are_known(case, theta, np.eye(3) / 1e-3**2) == is_enough
-
-
-def test_every_structure_inside_another_does_nothing_that_the_other_cannot():
-    record = hard_record(0)
-    share = RecordShare.of(record, "y0", ["u"], [2], [0], [Prior(0.0, np.inf)], 0, True)
-    problem = OutputErrorProblem([share], (3,), Nuisances(True, True, True))
-    insides = problem.inside()
-    assert set(insides) == {
-        "has_offset",
-        "has_ramp",
-        "has_free_response",
-        "delay",
-        "zero",
-        "pole",
-        "pole and zero",
-    }
-    for name, smaller in insides.items():
-        theta = np.concatenate([np.poly([-0.4] * smaller.n_a)[1:], np.zeros(len(smaller.free_delays))])
-        state = smaller.state(theta)
-        problem.scale = state.scale
-        costs = [problem.state(wider).cost for wider in widened(problem, state)]
-        # A pole that is far out leaves one part in the ratio of its place to the Nyquist frequency.
-        assert min(costs) < state.cost + (1.0 if name == "pole" else 1e-6), name
-
-
-def test_a_structure_inside_that_ended_at_a_point_that_is_not_allowed_says_nothing():
-    own = problem(own_poles=False)
-    chain = _Chain(own, "auto", [2.0], [np.zeros(2)], 1)
-    state = own.state(a_point(own))
-    smaller = own.inside()["zero"]
-    # A delay of a hundred seconds; the coefficients would be stable in any other place, too.
-    refused = smaller.state(np.array([1.0, 0.5, 0.1, 100.0, 100.0]))
-    assert refused.cost == np.inf
-    found = Optimum(state, False, "", 0)
-    assert chain.beyond(found, [refused]) is found

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from beam_ident import IdentificationError
 from beam_ident.report.gates import Gate
 from beam_ros import messages
 from beam_ros.bags.errors import BagNotFoundError
@@ -263,3 +264,29 @@ def test_a_mode_that_the_frame_rate_folds_into_the_excitation_is_named(tmp_path:
         if is_folded:  # 50 - 28.26 = 21.74 Hz
             assert "21.7 Hz" in said[0].figure
             assert "film at more than 56.5" in said[0].remedy
+
+
+def test_displacements_that_never_change_are_refused_by_the_check_as_by_the_fit(tmp_path: Path) -> None:
+    bag = changed(tmp_path / "bag", lambda k, row: with_positions(row, 0.0 * np.asarray(row.positions)))
+    check = check_bag(bag)
+    assert not check.can_be_identified
+    assert "is constant" in check.verdict
+    with pytest.raises(IdentificationError, match="is constant"):
+        identify_bag(bag)
+
+
+@pytest.mark.parametrize("order", [[2, 1, 0], [1, 0, 2], [0, 2, 1]])
+def test_markers_that_are_exchanged_move_as_others_should(order: list[int], tmp_path: Path) -> None:
+    check = check_bag(
+        changed(tmp_path / "bag", lambda k, row: with_positions(row, np.asarray(row.positions)[order]))
+    )
+    found = gate(check, "places")
+    assert found.verdict == "doubtful"
+    names = ("z010", "z225", "z285")
+    for here, there in enumerate(order):
+        assert (f"{names[here]} moves as {names[there]} should" in found.figure) == (here != there)
+
+
+@pytest.mark.parametrize("name", ["multisine", "step", "decay", "drifting", "encoder_noise"])
+def test_markers_in_their_places_are_not_taken_for_exchanged(name: str) -> None:
+    assert gate(check_bag(WHOLE.parent / name), "places").verdict != "doubtful"

@@ -61,7 +61,7 @@ def _write(folder: Path, text: str) -> None:
         (("info", "rig.yaml"), ("rig.yaml", "no bag")),
         (("simulate", "--bag", "."), (".", "exist")),
         (("simulate",), ("--bag",)),
-        (("export", "run"), ("--csv", "--flat-bag", "required")),
+        (("export", "run"), ("--csv", "--flat-bag", "--model")),
         (("up", "--rig", "real"), ("serial.port",)),
         (("up", "--rig", "imaginary"), ("imaginary", "simulated")),
         (("demo", "--rig", "real"), ("real", "emulated")),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -83,10 +84,16 @@ def test_the_guard_refuses_a_resonant_sequence_in_every_mode(mode: str) -> None:
 
 
 @pytest.mark.parametrize("kind", RIG_PARAMETERS["excitation.kind"].choices)
-def test_every_kind_of_the_schema_makes_a_plan_with_the_packaged_values(kind: str) -> None:
+def test_every_kind_of_the_schema_makes_a_plan_with_the_packaged_values(kind: str, tmp_path: Path) -> None:
     rig = Rig.from_file().with_values(
         {"excitation.kind": kind, "excitation.acceleration": 0.2, "excitation.duration": 5.0}
     )
+    if kind == "file":
+        (tmp_path / "path.csv").write_text("t_s,x_mm\n0,0\n1,1\n2,0\n")
+        rig = rig.with_values({"excitation.file": str(tmp_path / "path.csv")})
+    if kind == "shaped_move":
+        there = (0.4, *([0.0] * 999), -0.4)
+        rig = rig.with_values({"excitation.command": there, "excitation.move_to": 0.0004})
     plan = plan_excitation(rig)
     assert objection(rig, plan.values) is None
     assert Recipe.from_dict(plan.info(rig)["recipe"]) == plan.recipe

@@ -21,6 +21,7 @@ from beam_ros.experiments.conduct import begin, conduct, describe_plan
 from beam_ros.experiments.plan import Plan, read_plan
 from beam_ros.experiments.progress_file import STATE_FILE, ProgressFile, files_below
 from beam_ros.experiments.steps import Means, Report, record_by_core
+from beam_ros.offline.identification import nothing_checked
 from beam_ros.process.checksums import checksum
 from beam_ros.process.environment import child_environment
 from beam_ros.process.executables import command
@@ -50,15 +51,16 @@ STEPS = [
     "estimate modal from E1-1",
     "estimate modal from E1-2",
     "estimate both from all",
-    "validate modal from E1-1 on V1",
-    "validate modal from E1-2 on V1",
-    "validate both from all on V1",
     "report",
 ]
 
 
 def no_calibration(bag: Path, rig: Any, file: Path) -> int:
     raise AssertionError("the plan has none")
+
+
+def no_shaping(*_arguments: object) -> str:
+    raise AssertionError("the plan has no move")
 
 
 BRIEF = """
@@ -73,9 +75,9 @@ estimations:
 validations:
   - {estimation: modal, recordings: [V1]}
 """
-BRIEF_STEPS = ["record E1", "record V1", "estimate modal from E1", "validate modal from E1 on V1", "report"]
+BRIEF_STEPS = ["record E1", "record V1", "estimate modal from E1", "report"]
 
-MEANS = Means(record_by_core, no_calibration, report_identification)
+MEANS = Means(record_by_core, no_calibration, nothing_checked, report_identification, no_shaping)
 
 
 class Interruption(Exception):
@@ -400,12 +402,23 @@ def test_what_a_real_axis_moved_for_is_kept_when_it_is_interrupted(plan: Plan, t
         (bag / "samples").write_text("half")
         raise Interruption
 
+    means = Means(record, no_calibration, nothing_checked, report_identification, no_shaping)
     begun = begin(live, tmp_path / "run", resume=False, overwrite=False, now="")
     with pytest.raises(Interruption):
-        conduct(live, begun, Means(record, no_calibration, report_identification), Silent())
+        conduct(
+            live,
+            begun,
+            means,
+            Silent(),
+        )
     begun = begin(live, tmp_path / "run", resume=True, overwrite=False, now="")
     with pytest.raises(Interruption):
-        conduct(live, begun, Means(record, no_calibration, report_identification), Silent())
+        conduct(
+            live,
+            begun,
+            means,
+            Silent(),
+        )
     kept = tmp_path / "run" / "interrupted" / "record-E1-1-1" / "bags" / "E1-1" / "samples"
     assert kept.read_text() == "half"
 

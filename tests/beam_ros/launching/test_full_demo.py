@@ -25,10 +25,14 @@ AXES: dict[str, tuple[str, ...]] = {
     "simulated": (),
     "emulated": (),
     "odrive": ("axis.kind:=odrive", "axis.metres_per_unit:=0.02", *ACCEPTED),
+    "dynamixel": (
+        *("axis.kind:=dynamixel", "axis.metres_per_unit:=0.032", "hub.max_speed:=0.056"),
+        *("hub.encoder_resolution:=7.8e-6", *ACCEPTED),
+    ),
     "controller": ("axis.kind:=trajectory_controller", "emulator.controller_rate:=250.0", *ACCEPTED),
 }
 """What moves the hub: a tick of 1 ms twice, 200 positions a second of this host's, 250 cycles a second."""
-LEAST_MODES = {"simulated": 2, "emulated": 2, "odrive": 1, "controller": 2}
+LEAST_MODES = {"simulated": 2, "emulated": 2, "odrive": 1, "dynamixel": 1, "controller": 2}
 """Where the host paces the axis, a busy computer leaves gaps in the input, which may cut a mode off."""
 
 

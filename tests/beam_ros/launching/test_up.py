@@ -18,7 +18,15 @@ def test_a_rig_is_kept_up_its_services_answer_as_the_hub_does_and_no_second_one_
     executables, tmp_path: Path
 ) -> None:
     up = executables.start(
-        "beam", "up", "--rig", "simulated", "-p", "simulation.images:=false", timeout_s=90.0
+        "beam",
+        "up",
+        "--rig",
+        "simulated",
+        "-p",
+        "simulation.images:=false",
+        "-p",
+        "hub.watchdog:=1.0",
+        timeout_s=90.0,
     )
     up.wait_for("Ctrl-C ends it", 40.0)
     refused = executables.run("beam", "call", "excitation/start")
@@ -30,7 +38,7 @@ def test_a_rig_is_kept_up_its_services_answer_as_the_hub_does_and_no_second_one_
     folders = sorted(path.name for path in (tmp_path / "runs").iterdir())
     second = executables.run("beam", "up", "--rig", "simulated")
     assert second.process.returncode == 2
-    assert "a hub is already on this graph" in second.output()
+    assert "another hub is on this graph" in second.output()
     assert sorted(path.name for path in (tmp_path / "runs").iterdir()) == folders
     up.send_signal(signal.SIGINT)
     assert up.wait(20.0) == 0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -107,6 +108,8 @@ def test_a_joint_trajectory_controller_runs_a_sequence_by_its_plain_topics(execu
     driver = executables.start("hub_driver", *_words(*CONTROLLER, *ACCEPTED))
     seen.ready()
     driver.wait_for("this axis cannot promise: a sequence that was handed over runs to its end")
+    driver.wait_for("this axis cannot promise: silence stops nothing")
+    driver.wait_for("the parameters of /joint_trajectory_controller cannot be read")
     graph.wait(lambda: bool(states), "joint states here as well", 20.0)
     values = _sequence()
     start_ns = seen.run(values)
@@ -131,9 +134,70 @@ def test_a_joint_trajectory_controller_runs_a_sequence_by_its_plain_topics(execu
     assert np.ptp(reached) == pytest.approx(np.ptp(design), rel=0.1)
 
 
-def test_an_odrive_runs_the_same_driver(executables, graph, seen, tmp_path) -> None:
-    common = ("axis.kind:=odrive", "axis.metres_per_unit:=0.02", "hub.watchdog:=1.0")
-    port = tmp_path / "odrive"
+def test_a_controller_whose_settings_cannot_do_it_is_refused_until_they_are_mended(
+    executables, graph, seen
+) -> None:
+    import rclpy
+
+    modes = []
+    graph.listen("hub/mode", lambda m: modes.append(messages.read_json(m)))
+    controller = rclpy.create_node("joint_trajectory_controller", context=graph.node.context)
+    executor = rclpy.executors.SingleThreadedExecutor(context=graph.node.context)
+    executor.add_node(controller)
+    thread = threading.Thread(target=executor.spin, daemon=True)
+    try:
+        controller.declare_parameter("joints", ["slider", "arm"])
+        partial = controller.declare_parameter("allow_partial_joints_goal", False)
+        thread.start()
+        executables.start("firmware_emulator", *_words(*CONTROLLER))
+        executables.start("hub_driver", *_words(*CONTROLLER, *ACCEPTED))
+        graph.wait(lambda: "allow_partial" in (modes[-1]["reason"] if modes else ""), "a refusal", 30.0)
+        assert (modes[-1]["state"], modes[-1]["fault"]["name"]) == ("disconnected", "wrong_axis")
+        assert not seen.enable().success
+        controller.set_parameters([rclpy.parameter.Parameter(partial.name, value=True)])
+        graph.wait(lambda: modes[-1]["state"] == "identified", "a connection", 20.0)
+    finally:
+        executor.shutdown()
+        thread.join(5.0)
+        controller.destroy_node()
+
+
+def test_a_controller_that_says_late_what_it_cannot_do_is_refused_all_the_same(executables, graph) -> None:
+    import rclpy
+
+    modes = []
+    graph.listen("hub/mode", lambda m: modes.append(messages.read_json(m)))
+    executables.start("firmware_emulator", *_words(*CONTROLLER))
+    driver = executables.start("hub_driver", *_words(*CONTROLLER, *ACCEPTED))
+    driver.wait_for("the parameters of /joint_trajectory_controller cannot be read")
+    graph.wait(lambda: bool(modes) and modes[-1]["state"] == "identified", "a connection", 30.0)
+    controller = rclpy.create_node("joint_trajectory_controller", context=graph.node.context)
+    try:
+        controller.declare_parameter("joints", ["slider", "arm"])
+        controller.declare_parameter("allow_partial_joints_goal", False)
+        executor = rclpy.executors.SingleThreadedExecutor(context=graph.node.context)
+        executor.add_node(controller)
+        thread = threading.Thread(target=executor.spin, daemon=True)
+        thread.start()
+        graph.wait(lambda: "allow_partial" in modes[-1]["reason"], "a refusal", 30.0)
+        assert (modes[-1]["state"], modes[-1]["fault"]["name"]) == ("disconnected", "wrong_axis")
+        executor.shutdown()
+        thread.join(5.0)
+    finally:
+        controller.destroy_node()
+
+
+@pytest.mark.parametrize(
+    "drive",
+    [
+        ("axis.kind:=odrive", "axis.metres_per_unit:=0.02"),
+        ("axis.kind:=dynamixel", "axis.metres_per_unit:=0.032", "hub.max_speed:=0.056"),
+    ],
+    ids=["odrive", "dynamixel"],
+)
+def test_a_drive_that_the_host_paces_runs_the_same_driver(executables, graph, seen, tmp_path, drive) -> None:
+    common = (*drive, "hub.watchdog:=1.0")
+    port = tmp_path / "drive"
     executables.start("firmware_emulator", *_words(*common, f"emulator.port_link:={port}"))
     executables.start(
         "hub_driver",
@@ -149,7 +213,9 @@ def test_an_odrive_runs_the_same_driver(executables, graph, seen, tmp_path) -> N
     design = np.cumsum(np.cumsum(values)) * 1e-6
     times, path = seen.path()
     reached = path[(times > start_ns) & (times < start_ns + 900_000_000)]
-    assert np.ptp(reached) == pytest.approx(np.ptp(design), rel=0.1)
+    # Between two answers of the drive it moves by up to 0.3 mm, so much of a peak may be missed: how closely it
+    # follows is held in virtual time (hub/links/test_same_model.py).
+    assert np.ptp(reached) == pytest.approx(np.ptp(design), abs=3e-4)
     health = [h for h in seen.health if h.name.endswith("hub_driver")][-1]
     assert any("the host paces every position" in str(value) for value in health.values.values())
 
@@ -186,7 +252,7 @@ def test_a_board_that_prints_lines_measures_and_refuses(executables, graph, seen
         (("axis.kind:=odrive", "axis.metres_per_unit:=0.0"), "axis.metres_per_unit is 0"),
         (
             ("axis.kind:=odirve",),
-            "expected one of beam, trajectory_controller, odrive, csv; did you mean 'odrive'?",
+            "expected one of beam, trajectory_controller, odrive, dynamixel, csv; did you mean 'odrive'?",
         ),
     ],
 )
@@ -222,7 +288,7 @@ def test_the_page_has_a_row_for_every_kind_and_rig_files_that_are_right() -> Non
 
 
 def test_the_page_names_no_parameter_and_no_fault_that_there_is_not() -> None:
-    groups = "axis|hub|serial|trajectory|odrive|csv|emulator"
+    groups = "axis|hub|serial|trajectory|odrive|dynamixel|csv|emulator"
     named = set(re.findall(rf"`((?:{groups})\.[a-z_]+)", PAGE))
     assert named - set(RIG_PARAMETERS) == set()
     assert {

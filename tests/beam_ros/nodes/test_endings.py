@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import signal
+import sys
 import time
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
+from beam_ros import messages
+from beam_ros.bags.batches import encode_chunk
+from beam_ros.hub.contract import SequenceChunk
 from beam_ros.interfaces.graph import NODES
 from beam_ros.offline.simulation import simulate
 from beam_ros.process.executables import command
@@ -80,3 +85,70 @@ def test_ctrl_c_in_the_first_second_ends_every_command_without_a_traceback(
         assert started.wait(20.0) in (expected, 2), (name, started.output())
         assert "Traceback" not in started.output(), (name, started.output())
     assert list(scratch.iterdir()) == []
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("executable", ["hub_driver", "simulator"])
+def test_the_last_word_of_a_hub_is_that_nobody_leads_the_axis(
+    executables: Any, graph: Any, tmp_path: Path, executable: str, number: signal.Signals
+) -> None:
+    modes, sequences, recordings = [], [], []
+    graph.listen("hub/mode", lambda m: modes.append(messages.read_json(m)))
+    graph.listen("hub/sequence_state", lambda m: sequences.append(messages.read_json(m)))
+    graph.listen("recorder/state", lambda m: recordings.append(messages.read_json(m)))
+    port = tmp_path / "controller"
+    if executable == "hub_driver":
+        executables.start("firmware_emulator", "--ros-args", "-p", f"emulator.port_link:={port}")
+    hub = executables.start(
+        executable,
+        *("--ros-args", "-p", f"serial.port:={port}", "-p", "serial.patience:=20.0"),
+        *("-p", "simulation.images:=false"),
+    )
+    recorder = executables.start("bag_recorder", "--ros-args", *_parameters("bag_recorder", tmp_path))
+    graph.wait(lambda: modes and modes[-1]["state"] == "identified", "an axis", 30.0)
+    for service in ("hub/home", "hub/enable"):
+        # A busy computer may keep the hub from coming round for longer than the watchdog's time.
+        answers = (graph.call(service, data=True if service == "hub/enable" else None) for _ in range(20))
+        assert next(a for a in answers if "ask again" not in a.message).success
+    chunk = SequenceChunk("half", 1, 2, time.time_ns() + 10**10, 1_000_000, 0, np.zeros(500))
+    publisher = graph.publisher("hub/sequence")
+    graph.wait(lambda: publisher.get_subscription_count() > 0, "a listener", 10.0)
+    publisher.publish(encode_chunk(chunk, "acceleration"))
+    graph.wait(lambda: bool(sequences), "half a sequence", 10.0)
+    assert (modes[-1]["state"], sequences[-1]["state"]) == ("enabled", "loading")
+    hub.send_signal(number)
+    assert hub.wait(10.0) == 0
+    graph.spin(0.5)
+    assert (modes[-1]["state"], modes[-1]["activity"]) == ("disconnected", "idle")
+    assert "the node has ended" in modes[-1]["reason"]
+    assert sequences[-1]["state"] == "aborted"
+    graph.wait(lambda: recordings and recordings[-1]["recording"], "a recording", 10.0)
+    recorder.send_signal(number)
+    assert recorder.wait(10.0) == 0
+    graph.spin(0.5)
+    assert not recordings[-1]["recording"]
+
+
+BUSY = """
+import sys
+from beam_ros.shell.node import RigNode, run_node
+
+class Busy(RigNode):
+    def __init__(self):
+        super().__init__("identifier")
+        self.create_timer(0.1, self._work)
+    def _work(self):
+        self.get_logger().info("busy")
+        while True:
+            self._publish_diagnostics()
+
+sys.exit(run_node(Busy, []))
+"""
+
+
+def test_a_node_whose_callback_does_not_end_ends_all_the_same(executables: Any) -> None:
+    node = executables.start("identifier", program=[sys.executable, "-c", BUSY])
+    node.wait_for("busy")
+    node.send_signal(signal.SIGINT)
+    assert node.wait(10.0) == 0
+    assert "Traceback" not in node.output()

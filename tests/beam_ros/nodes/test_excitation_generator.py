@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+import threading
 
 import pytest
 
@@ -28,6 +29,22 @@ def test_a_stepped_sine_comes_from_parameters_alone(executables, graph) -> None:
     assert recipe["kind"] == "stepped_sine"
     assert recipe["frequencies"] == [3.0, 6.0]
     assert recipe["measure_cycles"] == 7
+
+
+def test_a_trajectory_of_ones_own_comes_from_its_file(executables, graph, tmp_path) -> None:
+    path = tmp_path / "path.csv"
+    path.write_text("t_ms,x_mm\n0,0\n500,2\n1000,0\n")
+    infos: list[dict[str, object]] = []
+    graph.listen("excitation/info", lambda message: infos.append(messages.read_json(message)))
+    file = ("-p", f"excitation.file:={path}")
+    executables.start("excitation_generator", "--ros-args", "-p", "excitation.kind:=file", *file)
+    graph.wait(lambda: bool(infos), "the recipe", 20.0)
+    recipe = infos[0]["recipe"]
+    assert (recipe["quantity"], recipe["times"], recipe["values"]) == (
+        "position",
+        [0.0, 0.5, 1.0],
+        [0.0, 2e-3, 0.0],
+    )
 
 
 def test_a_recipe_that_makes_no_signal_is_one_line(executables) -> None:
@@ -127,6 +144,31 @@ def test_a_long_sequence_is_handed_over_and_starts(executables, graph, minutes: 
     graph.wait(lambda: states[-1]["state"] == "running", "a sequence that runs", 40.0)
     assert graph.call("excitation/stop").success
     graph.wait(lambda: states[-1]["state"] == "aborted", "the end", 5.0)
+
+
+def test_a_stop_that_the_hub_does_not_answer_is_told_of(executables, graph) -> None:
+    import rclpy
+    from rclpy.task import Future
+
+    async def silent(_request: object, _response: object) -> object:
+        return await Future()
+
+    hub = rclpy.create_node("silent_hub", context=graph.node.context)
+    hub.create_service(graph.types.service_class(SERVICES["hub/stop"].type_name), "hub/stop", silent)
+    executor = rclpy.executors.SingleThreadedExecutor(context=graph.node.context)
+    executor.add_node(hub)
+    thread = threading.Thread(target=executor.spin, daemon=True)
+    thread.start()
+    try:
+        executables.start("excitation_generator", "--ros-args")
+        asked = graph.request("excitation/stop")
+        graph.wait(asked.done, "an answer", 30.0)
+        assert not asked.result().success
+        assert "hub/stop has not answered in 5 s" in asked.result().message
+    finally:
+        executor.shutdown()
+        thread.join(5.0)
+        hub.destroy_node()
 
 
 def test_what_is_longer_than_an_hour_is_refused_before_it_is_sampled(executables) -> None:

@@ -27,7 +27,7 @@ ONLY_OTHERWISE_READ = {
     *(
         name
         for name in NODES["hub_driver"].parameters
-        if name.startswith(("axis.", "trajectory.", "odrive.", "csv."))
+        if name.startswith(("axis.", "trajectory.", "odrive.", "dynamixel.", "csv."))
     ),
     *("emulator.controller_rate", "faults.request", "camera.clock_tolerance"),
 }

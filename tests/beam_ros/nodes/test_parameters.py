@@ -147,7 +147,7 @@ def test_simulator_and_driver_share_the_parameters_of_the_hub(executables, graph
     executables.start("hub_driver", "--ros-args", "-r", "__ns:=/b", *linked)
     simulator, driver = NodeParameters(graph, "/a/hub"), NodeParameters(graph, "/b/hub")
     shared = sorted(simulator.names() & driver.names())
-    of_links = ("axis.", "serial.", "trajectory.", "odrive.", "csv.")
+    of_links = ("axis.", "serial.", "trajectory.", "odrive.", "dynamixel.", "csv.")
     assert {name for name in driver.names() if not name.startswith(of_links)} == set(shared)
     assert {name for name in simulator.names() if name.startswith("hub.")} <= set(shared)
     assert simulator.get(*shared) == driver.get(*shared)

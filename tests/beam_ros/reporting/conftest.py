@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from beam_ros.offline.identification import Identification, identification_of_bags
+from beam_ident.report.gates import Gate
+from beam_ros.offline.identification import IdentificationOutcome, identification_of_bags
 from beam_ros.offline.simulation import simulate
 from beam_ros.rig.rig import Rig
 
@@ -29,5 +30,8 @@ def second_bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
-def outcome(bag: Path, second_bag: Path) -> Identification:
-    return identification_of_bags(bag, validation=second_bag)
+def outcome(bag: Path, second_bag: Path) -> IdentificationOutcome:
+    gates = [Gate("clock", "passed", "2 us", "below 50 us")]
+    return identification_of_bags(
+        bag, validation=second_bag, checked=lambda bag, options: gates, temperature_k=1.5
+    )

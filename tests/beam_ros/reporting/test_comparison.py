@@ -9,12 +9,12 @@ pytest.importorskip("matplotlib")
 
 from beam_ros.cli.main import main
 from beam_ros.errors import UsageError
-from beam_ros.offline.identification import Identification, write_models
+from beam_ros.offline.identification import IdentificationOutcome, write_models
 from beam_ros.reporting.comparison import compare
 
 
 @pytest.fixture(scope="module")
-def model(outcome: Identification, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def model(outcome: IdentificationOutcome, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_models(outcome, tmp_path_factory.mktemp("stored") / "model.json")
 
 

@@ -9,7 +9,7 @@ pytest.importorskip("cv2")
 
 import cv2
 
-from beam_ros.offline.identification import Identification, identification_of_bags
+from beam_ros.offline.identification import IdentificationOutcome, identification_of_bags
 from beam_ros.reporting.film import write_film
 
 FRAMES = Path(__file__).resolve().parents[3] / "bags" / "frames"
@@ -17,7 +17,7 @@ N_FRAMES = 227
 
 
 @pytest.mark.slow
-def test_a_bag_without_images_has_no_film(outcome: Identification, tmp_path: Path) -> None:
+def test_a_bag_without_images_has_no_film(outcome: IdentificationOutcome, tmp_path: Path) -> None:
     assert write_film(outcome, tmp_path / "film.mp4") == ""
     assert list(tmp_path.iterdir()) == []
 

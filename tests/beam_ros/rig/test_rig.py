@@ -143,11 +143,28 @@ def test_a_links_own_settings_are_one_text_of_yaml() -> None:
             rig.with_values({"axis.options": text}).axis_options()
 
 
+def test_every_link_gets_what_the_rig_file_says_of_its_controller() -> None:
+    rig = Rig.from_file().with_values(
+        {
+            "axis.rate": 100.0,
+            "axis.home": "device",
+            "axis.drive_watchdog": 0.2,
+            "odrive.axis": 1,
+            "dynamixel.id": 7,
+        }
+    )
+    odrive, servo = rig.odrive_parameters(), rig.dynamixel_parameters()
+    assert (odrive.rate, odrive.homes_here, odrive.axis) == (100.0, False, 1)
+    assert (servo.rate, servo.homes_here, servo.servo_id) == (100.0, False, 7)
+    assert rig.trajectory_parameters().drive_watchdog_s == 0.2
+
+
 def test_an_axis_without_a_scale_is_refused() -> None:
     with pytest.raises(ParameterFileError, match=r"axis\.metres_per_unit is 0"):
         Rig.from_file().with_values({"axis.metres_per_unit": 0.0})
     rig = Rig.from_file().with_values({"axis.metres_per_unit": -0.02, "csv.velocity_column": 3})
     assert rig.odrive_parameters().metres_per_turn == -0.02
+    assert rig.dynamixel_parameters().metres_per_turn == -0.02
     assert rig.trajectory_parameters().metres_per_unit == -0.02
     assert (rig.csv_columns().position_scale, rig.csv_columns().last) == (-0.02, 3)
 

@@ -8,13 +8,14 @@ from pathlib import Path
 import pytest
 
 from beam_ros import messages
-from beam_ros.shell.freeze_watch import FROZEN_NS, WAKING_NS, FreezeWatch
+from beam_ros.shell.freeze_watch import BEAT_NS, WAKING_NS, FreezeWatch
 
 MS = 1_000_000
+WATCHDOG_NS = 250 * MS
 
 
 def awake_watch() -> FreezeWatch:
-    watch = FreezeWatch()
+    watch = FreezeWatch(WATCHDOG_NS)
     for k in range(100):
         watch.beat(k * 10 * MS)
     return watch
@@ -22,28 +23,48 @@ def awake_watch() -> FreezeWatch:
 
 def test_requests_in_time_are_taken() -> None:
     assert awake_watch().objection(995 * MS, 994 * MS) is None
-    assert awake_watch().objection(990 * MS + FROZEN_NS, 990 * MS) is None
+    assert awake_watch().objection(990 * MS + WATCHDOG_NS, 990 * MS) is None
     # Nobody was frozen before the first beat.
-    assert FreezeWatch().objection(10**15, 0) is None
+    assert FreezeWatch(WATCHDOG_NS).objection(10**15, 0) is None
 
 
 def test_a_request_after_a_gap_is_refused_whoever_notices_it_first() -> None:
     watch = awake_watch()
-    assert watch.objection(3990 * MS, 2000 * MS) == "was frozen for 3.0 s; ask again"
+    assert watch.objection(3990 * MS, 2000 * MS) == "was frozen for 3.00 s; ask again"
     watch = awake_watch()
     watch.beat(3990 * MS)
-    assert watch.objection(3991 * MS, 2000 * MS) == "was frozen for 3.0 s; ask again"
-    # Of a clock that is a little ahead of ours it may look fresh: refused for a moment more, and then not.
-    assert watch.objection(3990 * MS + WAKING_NS, 3990 * MS + WAKING_NS) is not None
-    assert watch.objection(3990 * MS + WAKING_NS + 1, 3990 * MS + WAKING_NS) is None
+    assert watch.objection(3991 * MS, 2000 * MS) == "was frozen for 3.00 s; ask again"
 
 
 def test_what_was_sent_before_the_process_woke_is_refused_however_late_it_is_delivered() -> None:
     watch = awake_watch()
     for k in range(1000):
         watch.beat(3990 * MS + k * 10 * MS)
-    assert watch.objection(13990 * MS, 3990 * MS) == "was frozen for 3.0 s; ask again"
+    assert watch.objection(13990 * MS, 3990 * MS) == "was frozen for 3.00 s; ask again"
     assert watch.objection(13990 * MS, 3990 * MS + 1) is None
+
+
+@pytest.mark.parametrize("frozen_s", [0.3, 0.95, 1.05, 3.0])
+def test_a_freeze_is_one_that_the_watchdog_does_not_outlast(frozen_s: float) -> None:
+    """The axis has stopped after 0.25 s: what was asked before is as stale after 0.95 s as after 1.05 s."""
+    watch = awake_watch()
+    woke_ns = 990 * MS + round(frozen_s * 1e9)
+    assert watch.objection(woke_ns, 990 * MS + 1) == f"was frozen for {frozen_s:.2f} s; ask again"
+    # What did not wait longer than the watchdog is none for an axis that has stopped since it was asked.
+    assert watch.objection(woke_ns, woke_ns - WATCHDOG_NS) is None
+    assert watch.objection(woke_ns, woke_ns - WATCHDOG_NS - 1) is not None
+    # By a clock ahead of ours it may look fresh, for as long as the freeze outlasted the watchdog, at most 0.5 s.
+    over_ns = woke_ns + min(WAKING_NS, woke_ns - 990 * MS - WATCHDOG_NS)
+    for k in range(1, 50):
+        watch.beat(woke_ns + k * (over_ns - woke_ns) // 50)
+    assert watch.objection(over_ns, over_ns) is not None
+    assert watch.objection(over_ns + 1, over_ns) is None
+
+
+def test_a_beat_that_is_late_by_another_is_no_freeze_however_short_the_watchdog_is() -> None:
+    watch = FreezeWatch(40 * MS)
+    watch.beat(0)
+    assert watch.objection(2 * BEAT_NS, 0) is None
 
 
 @pytest.mark.ros
@@ -81,7 +102,7 @@ def _frozen_and_asked(graph, hub) -> None:
     graph.wait(lambda: all(future.done() for future in futures), "three answers", 10.0)
     for future in futures[:2]:
         assert not future.result().success
-        assert "was frozen for 3." in future.result().message
+        assert "was frozen for " in future.result().message
         assert "ask again" in future.result().message
     assert futures[2].result().success, futures[2].result().message
     graph.spin(1.0)

@@ -101,9 +101,9 @@ def test_the_modal_parameters_are_those_of_the_beam(written: tuple[Path, dict[st
         "all points at once, E2",
     ):
         for cell, truth in zip(rows[name], (FIRST_HZ, 0.5, SECOND_HZ, 0.5), strict=True):
-            value, half = (float(part) for part in cell.split(" ± "))
-            assert abs(value - truth) < 2.0 * half + 1e-5 * truth  # twice the 95 % interval
-            assert half < 0.1 * truth
+            value, sd = (float(part) for part in cell.split(" ± "))
+            assert abs(value - truth) < 2.0 * 1.96 * sd + 1e-5 * truth  # twice the 95 % interval
+            assert sd < 0.05 * truth
     assert rows["theory"] == [f"{FIRST_HZ:.4f}", "0.5000", f"{SECOND_HZ:.4f}", "0.5000"]
 
 

@@ -25,7 +25,7 @@ def test_every_signal_and_clock_is_listed_though_one_could_not_be_read() -> None
             excitation=None,
         )
     )
-    assert "run: 7 messages in 2.0 s from 2023-11-14 22:13:20 UTC" in text
+    assert "run: 7 messages in 2.0 s (mcap), 2023-11-14 22:13:20 UTC" in text
     assert "/hub/applied: 3 messages, none" in text
     assert "/hub/measured: 40 samples over 0.039 s at 1000.000 Hz, 1 gaps, 2 lost" in text
     assert "clock epoch 1" not in text  # too few points for a rate

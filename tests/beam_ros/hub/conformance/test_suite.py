@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from beam_ros.hub.conformance.dialogue import Bench
 from beam_ros.hub.conformance.suite import ALWAYS, CHECKS, CheckResult, run_checks
 from beam_ros.hub.emulated.emulator import EmulatedFirmware
 from beam_ros.hub.line import protocol
@@ -48,8 +51,33 @@ def make(mode: str = "acceleration", kind: type[EmulatedFirmware] = EmulatedFirm
     )
 
 
-def results(firmware: EmulatedFirmware, *names: str, moves: bool = True) -> dict[str, CheckResult]:
-    return {result.name: result for result in run_checks(VirtualLine(firmware), moves=moves, names=names)}
+class Untouchable:
+    """An axis that nobody can interfere with, as a ``Bench``: what the checks do to it has no effect."""
+
+    max_following_error = AxisParameters().max_following_error
+
+    def __init__(self, firmware: EmulatedFirmware, offset: float = 0.0) -> None:
+        self._firmware, self._offset = firmware, offset
+
+    @property
+    def true_position(self) -> float:
+        return self._firmware.axis.true_position + self._offset
+
+    def hold_signals(self, **signals: bool) -> None:
+        pass
+
+    def lie(self, offset: float, scale: float) -> None:
+        pass
+
+    def stick(self, *, is_stuck: bool) -> None:
+        pass
+
+
+def results(
+    firmware: EmulatedFirmware, *names: str, moves: bool = True, bench: Bench | None = None
+) -> dict[str, CheckResult]:
+    found = run_checks(VirtualLine(firmware), moves=moves, names=names, bench=bench)
+    return {result.name: result for result in found}
 
 
 @pytest.mark.slow
@@ -57,16 +85,17 @@ def results(firmware: EmulatedFirmware, *names: str, moves: bool = True) -> dict
 def test_the_emulator_keeps_the_protocol_in_every_command_mode(mode):
     found = results(make(mode))
     assert list(found) == NAMES
-    assert {name: result.reason for name, result in found.items() if result.outcome != "passed"} == {}
+    # Its axis has no sensors that could be interfered with.
+    left_out = {check.name for check in CHECKS if check.needs_bench}
+    assert {name for name, result in found.items() if result.outcome == "skipped"} == left_out
+    assert {name: result.reason for name, result in found.items() if result.outcome == "failed"} == {}
 
 
 def test_without_motion_the_axis_is_never_asked_to_move():
     class Watched(Defective):
         def hears(self, message):
-            assert (
-                not (isinstance(message, protocol.Request) and message.kind == "enable")
-                or not self._has_limits
-            )
+            is_move = isinstance(message, protocol.Request) and message.kind in ("enable", "home")
+            assert not (is_move and self._session.has_limits)
             assert not isinstance(message, protocol.Arm) or self.axis.state != "enabled"
             return message
 
@@ -75,7 +104,7 @@ def test_without_motion_the_axis_is_never_asked_to_move():
     found = results(firmware, moves=False)
     moving = {check.name for check in CHECKS if check.moves}
     assert {name for name, result in found.items() if result.outcome == "skipped"} == moving
-    assert firmware.axis.state in ("identified", "homed")
+    assert firmware.axis.state == "identified"
 
 
 # Defects --------------------------------------------------------------------------------------------------
@@ -171,12 +200,12 @@ def keep_setpoint(self):
 
 
 def rerun_requests(self, message):
-    self._replies.pop(message.number, None)
+    self._session.replies.pop(message.number, None)
     return message
 
 
 def refresh(self, message):
-    self._setpoint_number = 0
+    self._session.setpoint_number = 0
     return message
 
 
@@ -193,12 +222,12 @@ def keep_going(self, message):
 
 def forget_limits(self, message):
     self._send(protocol.LimitsReply(message.number, message.limits))
-    self._has_limits = True
+    self._session.has_limits = True
 
 
 def obey_always(self, message):
     self.axis.obey(message.limits.narrowed(self._parameters))
-    self._has_limits = True
+    self._session.has_limits = True
     return message
 
 
@@ -237,6 +266,42 @@ def be_heard(self):
     self._heard_ns = self._now_ns
 
 
+def obeys(name: str, share: float) -> dict[str, object]:
+    """One of the limits is another than the one that it says."""
+
+    def scaled(message, factor):
+        limits = message.limits
+        return replace(message, limits=replace(limits, **{name: getattr(limits, name) * factor}))
+
+    return {
+        **hears(protocol.SetLimits, lambda _, m: scaled(m, share)),
+        **says(protocol.LimitsReply, lambda m: scaled(m, 1 / share)),
+    }
+
+
+def forget_ramp(self, message):
+    self.axis.obey(self._parameters)
+    return message
+
+
+def hear_without_feeding(self, message):
+    self._handlers[type(message)](message)
+
+
+def wait_for_batch(self, message):
+    """Tell that a sequence runs with a batch, and not before."""
+    was_batch, self.said_batch = getattr(self, "said_batch", False), isinstance(message, protocol.Telemetry)
+    is_early = isinstance(message, protocol.Status) and message.sequence_state == "running" and not was_batch
+    return None if is_early else message
+
+
+def a_tick_late(batch):
+    counts = batch.ticks.position_counts
+    return protocol.Telemetry(replace(batch.ticks, position_counts=np.concatenate([counts[:1], counts[:-1]])))
+
+
+ANYTHING_GOES = says(protocol.RequestReply, lambda m: replace(m, phase="success"))
+
 DEFECTS: dict[str, dict[str, object]] = {
     "handshake": says(protocol.Identity, lambda _: None),
     "identity": says(protocol.Identity, lambda m: replace(m, buffer_samples=0)),
@@ -244,7 +309,7 @@ DEFECTS: dict[str, dict[str, object]] = {
     "longer_hello": decodes(WithoutLongHello),
     "no_session": {"lives": speak_on},
     "new_session": status(setpoint_number=3),
-    "no_limits": {"lives": lambda self: setattr(self, "_has_limits", True)},
+    "no_limits": {"lives": lambda self: setattr(self._session, "has_limits", True)},
     "limits": says(
         protocol.LimitsReply, lambda m: replace(m, limits=replace(m.limits, travel=m.limits.travel / 2))
     ),
@@ -285,15 +350,31 @@ DEFECTS: dict[str, dict[str, object]] = {
     "underrun": fault_instead(1),
     "refused_sequences": says(protocol.ArmReply, lambda m: replace(m, is_accepted=True)),
     "not_finite": fault_instead(6),
-    "beyond_limit": hears(protocol.SetLimits, forget_limits),
+    "changes": {"says": wait_for_batch},
+    "watchdog_fed": hears(protocol.ClockQuery, hear_without_feeding),
+    "stop_ramp": obeys("stop_deceleration", 0.9),
+    "session_ramp": hears(protocol.Hello, forget_ramp),
+    "way_home": obeys("homing_speed", 1.01),
+    "moves": hears(protocol.Setpoint, lambda _, m: replace(m, value=0.99 * m.value)),
+    "limit_edges": obeys("max_speed", 1.01),
+    "states_at_rest": ANYTHING_GOES,
+    "states_in_motion": ANYTHING_GOES,
+    "states_on_the_way_home": ANYTHING_GOES,
+    "misfits_stop": feeds_while("hold"),
+    "sensed": says(protocol.Telemetry, a_tick_late),
+    "home_from_both_sides": {},
+    "end_switches": {},
+    "drive_alarm": {},
+    "encoder_lost": {},
+    "following_error": {},
+    "steps_lost": {},
+    "home_switch_dead": {},
     "beyond_travel": hears(protocol.SetLimits, forget_limits),
     "layouts": {"lives": say_nonsense},
     "no_restart": says(protocol.Identity, lambda self, m: replace(m, boot_id=self._now_ns // 10**8)),
     "never_by_itself": says(
         protocol.Status,
-        lambda m: (
-            replace(m, state="enabled", activity="hold") if m.state == "homed" and m.tick % 7 == 0 else m
-        ),
+        lambda m: replace(m, state="enabled", activity="hold") if m.state == "homed" else m,
     ),
     "ticks_forward": says(
         protocol.Status, lambda m: replace(m, tick=m.tick - min(m.tick, m.tick % 50 * 3 // 2))
@@ -306,9 +387,34 @@ DEFECTS: dict[str, dict[str, object]] = {
 @pytest.mark.parametrize("name", NAMES)
 def test_a_firmware_with_a_defect_fails_the_check_that_is_about_it(name):
     others = () if name not in ALWAYS else ("handshake", "telemetry", "enabling")
-    found = results(make(kind=type("DefectiveOne", (Defective,), DEFECTS[name])), name, *others)
+    firmware = make(kind=type("DefectiveOne", (Defective,), DEFECTS[name]))
+    # Its axis ignores what is done to it, and is not where it should be: a defect as such.
+    bench = Untouchable(firmware, offset=1e-6)
+    found = results(firmware, name, *others, bench=bench)
     assert (found[name].outcome, bool(found[name].reason)) == ("failed", True)
 
 
 def test_no_defect_is_about_a_check_that_is_not_there():
     assert set(DEFECTS) == set(NAMES)
+
+
+# The page ---------------------------------------------------------------------------------------------------
+
+PAGE = Path(__file__).parents[4] / "docs" / "protocol.md"
+
+
+def plain(text: str) -> str:
+    return " ".join(text.split())
+
+
+def test_the_page_names_for_every_promise_the_checks_that_hold_it():
+    before, _, rest = PAGE.read_text(encoding="utf-8").partition("## What the checks hold a firmware to\n")
+    section, _, after = rest.partition("\n## ")
+    rows = re.findall(r"^\| (.*?) \| (.*?) \|$", section, re.M)[1:]
+    assert len(rows) > 50
+    page = plain(before + after)
+    assert [promise for promise, _ in rows if plain(promise) not in page] == []
+    named = {name for _, checks in rows for name in re.findall(r"`(\w+)`", checks)}
+    assert named == set(NAMES)
+    on_a_bench = {name for _, checks in rows for name in re.findall(r"\*`(\w+)`\*", checks)}
+    assert on_a_bench == {check.name for check in CHECKS if check.needs_bench}

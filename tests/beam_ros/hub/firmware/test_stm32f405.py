@@ -24,7 +24,7 @@ from tests.firmware.test_core import Host, emulated, play
 
 pytestmark = pytest.mark.slow
 
-QUICK = ("handshake", "limits", "noise", "homing", "silence_while_running", "sequence", "beyond_limit")
+QUICK = ("handshake", "limits", "noise", "homing", "silence_while_running", "sequence", "limit_edges")
 
 
 @pytest.fixture
@@ -50,7 +50,8 @@ def test_the_processor_keeps_the_protocol(paced):
 @pytest.mark.verify
 @pytest.mark.parametrize("mode", ["acceleration", "velocity", "position"])
 def test_the_processor_keeps_the_whole_protocol(paced, mode):
-    found = list(run_checks(VirtualLine(paced(mode)), moves=True))
+    firmware = paced(mode)
+    found = list(run_checks(VirtualLine(firmware), moves=True, bench=firmware.axis))
     # Paced, the clock stands still between ticks: what it is worth shows in real time.
     failed = {r.name: r.reason for r in found if r.outcome != "passed" and r.name != "clock_rate"}
     assert failed == {}

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from beam_ros.hub.host.motion_watch import CertainMotion, MotionWatch
+from beam_ros.hub.host.motion_watch import CertainMotion, Measuring, MotionWatch
 from beam_ros.hub.parameters import COMMAND_MODES, AxisParameters
 from beam_ros.hub.simulated.plant import RigidPlant
 from beam_ros.hub.ticks import TickBatch
@@ -43,8 +43,14 @@ def wave(mode: str, frequency: float = 1.0) -> Callable[[float], float]:
     return lambda t: float(amplitude[mode] * np.cos(omega * t))
 
 
-def measured_as(batch: TickBatch, positions: np.ndarray) -> TickBatch:
-    return dataclasses.replace(batch, position_counts=np.round(positions).astype(np.int64))
+def measured_as(batch: TickBatch, positions: np.ndarray, *, later: int = 0) -> TickBatch:
+    """Return ticks with other positions, and ``later`` by so many ticks."""
+    counts = np.round(positions).astype(np.int64)
+    return dataclasses.replace(batch, first_tick=batch.first_tick + later, position_counts=counts)
+
+
+def watching(parameters: AxisParameters) -> MotionWatch:
+    return MotionWatch(parameters, Measuring.by_encoder(parameters))
 
 
 def faults(watch: MotionWatch, done: list[TickBatch], **about: bool) -> list[tuple[int, str]]:
@@ -58,7 +64,7 @@ def test_a_healthy_axis_raises_no_alarm(mode):
     parameters = dataclasses.replace(PARAMETERS, command_mode=mode)
     done = batches(parameters, 5.0, wave(mode))
     assert max(np.max(np.abs(b.position_counts)) for b in done) * 1e-7 > 5e-3
-    assert faults(MotionWatch(parameters), done) == []
+    assert faults(watching(parameters), done) == []
 
 
 @pytest.mark.parametrize("mode", COMMAND_MODES)
@@ -74,7 +80,7 @@ def test_lag_noise_and_coarse_steps_of_a_real_axis_raise_no_alarm(mode, resoluti
     noise = 2.0 * np.random.default_rng(8).standard_normal(len(positions))
     real = late - backlash + ripple + noise
     done = [measured_as(b, real[k * BATCH : (k + 1) * BATCH]) for k, b in enumerate(done)]
-    assert faults(MotionWatch(parameters), done) == []
+    assert faults(watching(parameters), done) == []
 
 
 @pytest.mark.parametrize("mode", MOTION)
@@ -100,10 +106,10 @@ def test_a_servo_of_20_hz_at_the_limits_of_the_axis_raises_no_alarm(mode):
         part = slice(k, k + BATCH)
         zeros = np.zeros(BATCH, dtype=np.float32)
         done.append(measured_as(TickBatch(k, applied[mode][part], zeros, zeros, zeros), positions[part]))
-    assert faults(MotionWatch(parameters), done) == []
+    assert faults(watching(parameters), done) == []
     # With a gap amid the motion the path begins anew, at full speed.
     del done[50:55]
-    watch = MotionWatch(parameters)
+    watch = watching(parameters)
     found = [
         watch.find(batch, 5 * BATCH if k == 50 else 0, is_homed=True, is_enabled=True)
         for k, batch in enumerate(done)
@@ -122,7 +128,7 @@ def test_a_jam_is_found_when_the_error_is_as_large_as_allowed(mode):
     )
     beyond = np.flatnonzero(np.abs(real - positions) > parameters.max_following_error)[0]
     done = [measured_as(b, real[k * BATCH : (k + 1) * BATCH] / 1e-7) for k, b in enumerate(done)]
-    (first, name), *_ = faults(MotionWatch(parameters), done)
+    (first, name), *_ = faults(watching(parameters), done)
     assert name == "motion_unexplained"
     assert beyond // BATCH <= first <= beyond // BATCH + 3
 
@@ -136,7 +142,7 @@ def test_a_creep_that_no_command_made_is_found(mode):
         measured_as(b, b.position_counts + creep[k * BATCH : (k + 1) * BATCH] / 1e-7)
         for k, b in enumerate(done)
     ]
-    (first, name), *_ = faults(MotionWatch(parameters), done)
+    (first, name), *_ = faults(watching(parameters), done)
     assert name == "motion_unexplained"
     # 2 mm at 5 mm/s, and what the path was pulled along meanwhile.
     assert 3.4 < first * 0.02 < 3.8
@@ -150,16 +156,20 @@ def test_a_position_that_jumps_is_found_at_once(mode, where):
     counts = done[30].position_counts.copy()
     counts[where:] += 30_000
     done[30] = dataclasses.replace(done[30], position_counts=counts)
-    assert faults(MotionWatch(parameters), done)[0] == (30, "position_jumped")
+    assert faults(watching(parameters), done)[0] == (
+        30,
+        "position_jumped",
+    )
 
 
 def test_lost_ticks_are_no_jump_but_a_jump_beyond_their_time_is():
-    watch = MotionWatch(PARAMETERS)
+    watch = watching(PARAMETERS)
     done = batches(PARAMETERS, 2.0, wave("acceleration"))
     for k, batch in enumerate(done):
         if k % 10:
             assert watch.find(batch, 20 if k % 10 == 1 else 0, is_homed=True, is_enabled=True) is None
-    away = measured_as(done[0], np.full(BATCH, done[-1].position_counts[-1] + 40 * 10_000 + 1_000_000))
+    counts = np.full(BATCH, done[-1].position_counts[-1] + 40 * 10_000 + 1_000_000)
+    away = measured_as(done[-1], counts, later=2 * BATCH)
     assert watch.find(away, 20, is_homed=True, is_enabled=True)[0] == "position_jumped"
 
 
@@ -175,7 +185,7 @@ def test_travel_counts_from_home_and_ends_at_the_limit_and_the_lag():
             counts = np.full(BATCH, round(side * (limit + beyond) / 1e-7), dtype=np.int64)
             zeros = np.zeros(BATCH)
             batch = TickBatch(0, zeros, counts, counts * 0, zeros.astype(np.float32))
-            assert [name for _, name in faults(MotionWatch(PARAMETERS), [batch], **about)] == expected
+            assert [name for _, name in faults(watching(PARAMETERS), [batch], **about)] == expected
 
 
 def test_a_hub_that_is_faster_than_its_limit_is_found_in_effort_mode_too():
@@ -188,17 +198,18 @@ def test_a_hub_that_is_faster_than_its_limit_is_found_in_effort_mode_too():
             done.append(
                 measured_as(TickBatch(k * BATCH, zeros, zeros, zeros, zeros.astype(np.float32)), positions)
             )
-        names = [name for _, name in faults(MotionWatch(parameters), done, is_homed=False)]
+        names = [name for _, name in faults(watching(parameters), done, is_homed=False)]
         assert names[:1] == expected
 
 
 def test_a_hand_on_a_disabled_axis_is_no_fault_and_leaves_no_error_behind():
-    watch = MotionWatch(PARAMETERS)
+    watch = watching(PARAMETERS)
     zeros = np.zeros(BATCH)
 
     def at(positions: np.ndarray) -> list[TickBatch]:
         batch = TickBatch(0, zeros, zeros, zeros, zeros.astype(np.float32))
-        return [measured_as(batch, part / 1e-7) for part in positions.reshape(-1, BATCH)]
+        parts = positions.reshape(-1, BATCH)
+        return [measured_as(batch, part / 1e-7, later=k * BATCH) for k, part in enumerate(parts)]
 
     pushed = 0.03 * np.sin(np.linspace(0, np.pi / 2, 1000))
     assert faults(watch, at(pushed), is_enabled=False) == []
@@ -212,20 +223,22 @@ def test_ticks_of_any_length_are_followed(period_ns):
         PARAMETERS, period_ns=period_ns, max_acceleration=0.5, stop_deceleration=0.5, watchdog_s=1.0
     )
     axis = enabled_axis(parameters, RigidPlant(0.8, parameters.period))
-    watch = MotionWatch(parameters)
+    watch = watching(parameters)
     for k in range(60):
         assert axis.setpoint(0.05 * float(np.cos(0.5 * k))).success
         axis.feed()
         batch = axis.advance(axis.device_ns + parameters.batch_ns)
         assert watch.find(batch, 0, is_homed=True, is_enabled=True) is None
-    jammed = measured_as(batch, np.full(len(batch), batch.position_counts[-1] + 1e-3 / 1e-7))
+    jammed = measured_as(
+        batch, np.full(len(batch), batch.position_counts[-1] + 1e-3 / 1e-7), later=len(batch)
+    )
     found = watch.find(jammed, 0, is_homed=True, is_enabled=True)
     assert (found is not None) is (period_ns == 100_000)  # 1 mm is a jump in 0.1 ms, and the way of 50 ms
 
 
 @pytest.mark.parametrize("is_enabled", [False, True])
 def test_what_is_remembered_of_an_axis_at_rest_is_bounded(is_enabled):
-    watch = CertainMotion(AxisParameters(), 1e-5)
+    watch = CertainMotion(AxisParameters(), Measuring(1e-5, 1e-5))
 
     def follow(first: int, last: int) -> None:
         for batch in range(first, last):

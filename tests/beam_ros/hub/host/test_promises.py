@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from beam_ros.hub.faults import fault
+from beam_ros.hub.faults import NO_FAULT, fault
 from beam_ros.hub.line import protocol
 from beam_ros.hub.parameters import AxisParameters
 from tests.beam_ros.hub.hub_scenes import LoopbackRig, altered, chunks_of, frozen, only, rest_to_rest
@@ -43,9 +43,9 @@ class Deaf:
         return sum(isinstance(message, kinds) for message in self.heard)
 
 
-def playing(seconds: float = 3.0) -> LoopbackRig:
+def playing(seconds: float = 3.0, parameters: AxisParameters = PARAMETERS) -> LoopbackRig:
     """A rig in the middle of a sequence that moves the hub for a long time."""
-    rig = LoopbackRig(PARAMETERS)
+    rig = LoopbackRig(parameters)
     rig.connect()
     rig.enable()
     for chunk in chunks_of(rest_to_rest(round(1000 * seconds)), rig.now.unix_ns + 300_000_000):
@@ -65,6 +65,17 @@ def creeping(rig: LoopbackRig, speed: float) -> Callable[[bytes], bytes]:
         return protocol.Telemetry(dataclasses.replace(message.ticks, position_counts=counts))
 
     return only(protocol.Telemetry, change)
+
+
+def test_a_ramp_that_takes_seconds_is_waited_for():
+    rig = LoopbackRig(dataclasses.replace(VELOCITY, stop_deceleration=0.1, travel=1.0))
+    rig.connect()
+    rig.enable()
+    for _ in range(10):
+        assert rig.hub.setpoint(rig.now.unix_ns, 0.15, rig.now).success
+        rig.run(0.05)
+    assert rig.ask("stop").success
+    assert rig.hub.poll(rig.now).status.fault is NO_FAULT
 
 
 @pytest.mark.parametrize("kind", STOPS)
@@ -119,6 +130,18 @@ def test_a_stop_that_acts_is_answered_when_the_axis_is_seen_at_rest(kind):
     for chunk in chunks_of(rest_to_rest(600), rig.now.unix_ns + 300_000_000, "again"):
         rig.hub.load(chunk, rig.now)
     rig.until(lambda report: any(own.state == "done" for own in report.sequences))
+
+
+def test_what_a_device_holds_back_from_a_silent_host_is_not_missed():
+    """Its telemetry ends a second after the host's last word; the host's own silence takes longer than that."""
+    rig = playing(parameters=dataclasses.replace(PARAMETERS, stop_deceleration=0.1, travel=2.0))
+    Deaf(rig, "success")
+    assert not rig.ask("stop").success
+    rig.to_device = rig.to_host = lambda data: data
+    assert rig.run(3.0)[-1].status.fault.name == "stop_ignored"
+    assert rig.ask("clear_fault").success
+    # Its own word on why it stopped in the silence is no news of what is missing.
+    assert {report.status.fault.name for report in rig.run(6.0)} <= {"none", "underrun"}
 
 
 def test_a_stop_that_is_asked_for_again_and_again_gains_no_time():

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from beam_ros.hub.host.silence import MOST_NS, Silence
+from beam_ros.hub.host.silence import Silence
+from beam_ros.hub.host.waking_time import MOST_NS
 
 MS = 1_000_000
 

@@ -631,3 +631,19 @@ def test_samples_that_the_device_held_back_before_the_connection_was_up_are_not_
     counters = rig.reports[-1].status.counters
     assert counters["connections"] == 1
     assert counters["lost_ticks"] == counters["strange_ticks"] == 0
+
+
+@pytest.mark.parametrize("wait_ms", [0, 5, 10, 15])
+def test_a_sequence_of_positions_may_follow_at_once_after_homing(wait_ms):
+    """What was applied on the way home counts from elsewhere."""
+    parameters = dataclasses.replace(PARAMETERS, command_mode="position")
+    rig = LoopbackRig(parameters, dataclasses.replace(DRIFTING, initial_position=0.02))
+    rig.connect()
+    rig.run(1e-3 * wait_ms)
+    for kind in ("home", "enable"):
+        assert rig.ask(kind).success
+    values = 0.002 * np.sin(np.linspace(0.0, np.pi, 1001)) ** 2
+    for chunk in chunks_of(values, rig.now.unix_ns + 300_000_000):
+        rig.hub.load(chunk, rig.now)
+    (report, *_) = reversed(rig.until(lambda r: any(own.state in ("done", "refused") for own in r.sequences)))
+    assert report.sequences[-1].state == "done", report.sequences[-1].reason

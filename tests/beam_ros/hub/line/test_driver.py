@@ -26,7 +26,15 @@ from beam_ros.hub.line.transport import SerialTransport
 from beam_ros.hub.parameters import AxisParameters, LinkParameters, SimulatedDevice
 from beam_ros.hub.simulated.plant import BeamPlant, RigidPlant
 from beam_ros.rig.rig import Rig as RigFile
-from tests.beam_ros.hub.hub_scenes import DriverRig, PortRig, Rig, SimulatedRig, chunks_of, rest_to_rest
+from tests.beam_ros.hub.hub_scenes import (
+    DriverRig,
+    PortRig,
+    Rig,
+    SimulatedRig,
+    busy_link,
+    chunks_of,
+    rest_to_rest,
+)
 from tests.beam_ros.hub.line.relay import SerialServer
 
 pytestmark = pytest.mark.slow
@@ -171,7 +179,8 @@ def test_applied_and_measured_are_the_simulators_bit_for_bit(start):
         assert np.array_equal(real[name], array), name
 
 
-def test_stamps_are_the_true_times_to_a_tenth_of_a_millisecond(start):
+def test_stamps_are_as_true_as_the_hub_says(start):
+    """On a line at rest that is 0.1 ms (``test_sample_stamping.py``); a busy computer knows less."""
     rig = start(ACCELERATION)
     reports = rig.run(1.5)
     batches = [b for r in reports for b in r.measured]
@@ -181,9 +190,10 @@ def test_stamps_are_the_true_times_to_a_tenth_of_a_millisecond(start):
     assert np.all(np.abs(np.diff(stamps) - 20_000_000) < 20_000_000 * 6e-4)
     true_ns = []
     for stamp in stamps:
-        device_ns = rig.emulator._device_ns_of(int(stamp))
+        device_ns = rig.emulator.device_ns(int(stamp))
         true_ns.append(device_ns - round(device_ns / 1e6) * 1_000_000)
-    assert np.max(np.abs(true_ns)) < 100_000
+    stated_ns = max(r.status.counters["stamp_sd_ns"] for r in reports)
+    assert np.max(np.abs(true_ns)) < 4 * stated_ns
     counters = reports[-1].status.counters
     assert counters["lost_ticks"] == counters["bad_frames"] == counters["unknown_messages"] == 0
 
@@ -266,6 +276,7 @@ def test_a_frozen_host_finds_the_axis_stopped_by_its_own_watchdog(start):
 
 
 def test_close_leaves_a_moving_axis_at_rest(start):
+    n_threads = threading.active_count()
     rig = start(VELOCITY)
     rig.enable()
     hold_velocity(rig, 0.1, 0.2)
@@ -274,7 +285,8 @@ def test_close_leaves_a_moving_axis_at_rest(start):
     assert time.monotonic() - begin < 0.5
     assert rig.emulator.axis.velocity == 0.0
     assert rig.emulator.axis.state == "homed"
-    assert threading.active_count() <= 3
+    # The emulator's own thread is left.
+    assert threading.active_count() <= n_threads + 1
 
 
 def test_a_power_cut_of_the_controller_is_a_new_epoch(start):
@@ -344,7 +356,7 @@ def driver():
     hubs = []
 
     def start_driver(port: str, **options: object) -> Rig:
-        rig = PortRig(PATIENT, LinkParameters(port, **options))
+        rig = PortRig(PATIENT, busy_link(port, **options))
         hubs.append(rig.hub)
         return rig
 
@@ -442,8 +454,7 @@ def test_any_url_of_pyserial_is_a_port(driver, emulator, tmp_path, kind):
         url = server.url
     try:
         rig = driver(url)
-        rig.until(connected, 15.0)
-        rig.until(lambda r: bool(r.measured) and r.status.counters["clock_sd_ns"] < 40_000, 15.0)
+        rig.connect()
         rig.enable()
         before = rig.reports[-1].status.counters
         load(rig, rest_to_rest(600), lead_ns=600_000_000)

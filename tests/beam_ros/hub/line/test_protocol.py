@@ -2,15 +2,18 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from beam_ros.hub.errors import HubProtocolError
+from beam_ros.hub.errors import HubParameterError, HubProtocolError
 from beam_ros.hub.line import protocol
 from beam_ros.hub.line.framing import FrameDecoder
+from beam_ros.hub.parameters import AxisParameters
 from beam_ros.hub.ticks import TickBatch
 
 TICKS = TickBatch(
@@ -154,3 +157,19 @@ def test_what_does_not_fit_its_field_is_refused_before_it_is_sent(message):
 def test_an_unknown_type_names_the_version():
     with pytest.raises(HubProtocolError, match=r"0x7f.*version"):
         protocol.decode(b"\x7f")
+
+
+@pytest.mark.parametrize("message", [protocol.Setpoint(1, 0.5), protocol.Arm(1, 10, 20)])
+def test_number_0_stands_for_none_and_names_no_setpoint_and_no_sequence(message):
+    with pytest.raises(HubProtocolError, match="stands for none"):
+        protocol.encode(replace(message, number=0))
+    payload = protocol.encode_payload(message)
+    with pytest.raises(HubProtocolError, match="stands for none"):
+        protocol.decode(payload[:1] + b"\0\0" + payload[3:])
+
+
+@pytest.mark.parametrize("value", [math.inf, -math.inf, math.nan])
+def test_a_limit_that_is_no_number_leaves_none_that_an_axis_can_have(value):
+    limits = replace(protocol.DeviceLimits.of(AxisParameters()), stop_deceleration=value)
+    with pytest.raises(HubParameterError):
+        limits.narrowed(AxisParameters())

@@ -152,11 +152,22 @@ def test_a_process_that_was_frozen_does_not_take_its_board_for_silent(start, mon
     assert reports[-1].status.counters["connections"] == 1
 
 
-def test_lines_with_too_few_columns_are_no_connection(tmp_path) -> None:
+def test_lines_that_cannot_be_read_are_no_silence(tmp_path) -> None:
     rig = BoardRig(tmp_path, CsvColumns(position=5))
     try:
-        status = rig.run(0.5)[-1].status
+        status = rig.until(lambda r: r.status.fault.name == "status_unreadable")[-1].status
         assert status.state == "disconnected"
-        assert status.counters["bad_lines"] > 20
+        assert "expected 5 numbers in each" in status.reason
+        assert rig.run(0.5)[-1].status.counters["bad_lines"] > 20
     finally:
         rig.close()
+
+
+def test_a_board_that_goes_on_with_words_is_not_silent(start, monkeypatch) -> None:
+    rig = start()
+    monkeypatch.setattr(LineBoard, "exchange", lambda *_: b"overheated\r\n")
+    status = rig.until(lambda r: r.status.state == "disconnected")[-1].status
+    assert status.fault.name == "status_unreadable"
+    assert "such as b'overheated" in status.reason
+    monkeypatch.undo()
+    rig.until(lambda r: r.status.state == "identified")

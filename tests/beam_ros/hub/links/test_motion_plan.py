@@ -75,7 +75,7 @@ def test_a_move_is_no_slower_than_a_trapezoid_can_be() -> None:
 @pytest.mark.parametrize(("mode", "value"), [("acceleration", 0.2), ("velocity", -0.03)])
 def test_a_set_point_lasts_for_the_watchdogs_time_and_then_stops(mode: str, value: float) -> None:
     parameters = AxisParameters(command_mode=mode, stop_deceleration=4.0)
-    plan = MotionPlan.refreshed(0.01, 0.02, value, parameters)
+    plan = MotionPlan.towards(0.01, 0.02, value, parameters)
     held = plan.at(0.25 - 1e-9)[1]
     expected = 0.02 + 0.2 * 0.25 if mode == "acceleration" else -0.03
     assert held == pytest.approx(expected, abs=1e-8)

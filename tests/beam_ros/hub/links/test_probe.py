@@ -15,6 +15,7 @@ import pytest
 
 from beam_ros.cli.main import main
 from beam_ros.hub.emulated.controller import EmulatedController
+from beam_ros.hub.emulated.dynamixel import EmulatedDynamixel
 from beam_ros.hub.emulated.line_board import LineBoard
 from beam_ros.hub.emulated.odrive import EmulatedOdrive
 from beam_ros.hub.line import protocol
@@ -30,6 +31,7 @@ PLANT = RigidPlant(0.8, 1e-3)
 BOOTS = {
     "beam": None,
     "odrive": lambda device, _boot_id: EmulatedOdrive(PARAMETERS, PLANT, device),
+    "dynamixel": lambda device, _boot_id: EmulatedDynamixel(PARAMETERS, PLANT, device, values={7: 11}),
     "csv": lambda device, _boot_id: LineBoard(PARAMETERS, PLANT, device),
 }
 
@@ -54,6 +56,9 @@ def test_what_answers_is_named_and_its_rig_file_is_one(kind: str, tmp_path: Path
         if kind == "beam":
             assert rig.hub.command_mode == "velocity"
             assert rig.hub.encoder_resolution == 1e-7
+        if kind == "dynamixel":
+            assert rig.dynamixel.id == 11
+            assert "XC430-W150" in content["sentence"]
         if kind == "csv":
             assert (rig.csv.clock_column, rig.csv.position_column) == (1, 2)
             assert rig.csv.clock_tick == pytest.approx(1e-6)
@@ -103,6 +108,11 @@ def _old_firmware(data: bytes) -> bytes:
     return protocol.encode(protocol.Identity(0, 1, 1, 42)) if hello in data else b""
 
 
+def _other_odrive() -> Callable[[bytes], bytes]:
+    odrive = EmulatedOdrive(PARAMETERS, PLANT, SimulatedDevice(), version=(0, 6, 9))
+    return lambda data: odrive.exchange(data, 0) if data else b""
+
+
 RNG = np.random.default_rng(4)
 
 
@@ -110,11 +120,12 @@ RNG = np.random.default_rng(4)
     ("answer", "kind", "words"),
     [
         (_old_firmware, "beam_other_version", "versions 1 to 1: expected version 2; update the firmware"),
+        (_other_odrive(), "odrive_other_version", "firmware 0.6.9: expected 0.5.4 to 0.5.x"),
         (lambda _: RNG.integers(0, 256, 7, dtype=np.uint8).tobytes(), "noise", "neither numbers nor frames"),
         (lambda _: b"", "silence", "nobody answers"),
         (lambda _: b"ready\r\n", "noise", "neither numbers nor frames"),
     ],
-    ids=["old", "noise", "silence", "chatter"],
+    ids=["old", "odrive", "noise", "silence", "chatter"],
 )
 def test_what_is_no_axis_is_said_so(answer, kind: str, words: str, capsys, tmp_path: Path) -> None:
     speaker = _Speaker(answer)
@@ -127,7 +138,7 @@ def test_what_is_no_axis_is_said_so(answer, kind: str, words: str, capsys, tmp_p
         assert not file.exists()
         # What speaks another version speaks at this rate: no other is tried.
         assert [each["baud"] for each in content["tried"]] == (
-            [115200] if kind == "beam_other_version" else [115200, 9600]
+            [115200] if kind.endswith("other_version") else [115200, 9600]
         )
     finally:
         speaker.close()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 import pytest
@@ -22,11 +22,13 @@ from beam_ident import (
 from beam_ros.excitation.plan import plan_excitation
 from beam_ros.hub.contract import HubReport
 from beam_ros.hub.emulated.controller import Firmware
+from beam_ros.hub.emulated.dynamixel import EmulatedDynamixel
 from beam_ros.hub.emulated.emulator import EmulatedFirmware
 from beam_ros.hub.emulated.odrive import EmulatedOdrive
 from beam_ros.hub.emulated.servo import servo_parameters
 from beam_ros.hub.emulated.trajectory_controller import EmulatedTrajectoryController, Waypoints
 from beam_ros.hub.firmware.paced_firmware import PacedFirmware
+from beam_ros.hub.links import dynamixel_protocol as table
 from beam_ros.hub.links.motion_plan import MotionPlan
 from beam_ros.hub.links.odrive_protocol import decode_line, encode_line, numbers
 from beam_ros.hub.links.trajectory import Knots
@@ -53,12 +55,15 @@ NOISE = 5e-6
 class _Filmed:
     """Displacements of the markers every 10 ms, and the hub's samples as the axis gave them."""
 
-    def __init__(self, seed: int, mode: str = "acceleration", begun_ns: int = 0) -> None:
+    def __init__(
+        self, seed: int, mode: str = "acceleration", begun_ns: int = 0, resolution: float = 1e-7
+    ) -> None:
         self._points = BeamPoints(RIG.beam_model(), RIG.markers.heights)
         self._rng = np.random.default_rng(seed)
         self._frames: list[tuple[int, np.ndarray]] = []
         self._next_ns = begun_ns + FRAME_NS
         self._is_forced = mode == "effort"
+        self._resolution = resolution
         self.hub: list[tuple[float, float]] = []
         """Times [ns], and forces that are held [N] or positions [m]."""
 
@@ -73,7 +78,7 @@ class _Filmed:
         if self._is_forced:
             drive = InputSignal("hub", "N", times * 1e-9, values, "zoh", 0.0)
         else:
-            drive = InputSignal("hub", "m", times * 1e-9, values, "cubic", 1e-7 / np.sqrt(12))
+            drive = InputSignal("hub", "m", times * 1e-9, values, "cubic", self._resolution / np.sqrt(12))
         stamps = np.array([stamp for stamp, _ in self._frames]) * 1e-9
         inside = (stamps > times[0] * 1e-9 + 0.05) & (stamps < times[-1] * 1e-9 - 0.05)
         table = np.array([u for _, u in self._frames])
@@ -181,7 +186,11 @@ def _by_odrive(values: np.ndarray) -> ModalModel:
     parameters = RIG.axis_parameters()
     plan = MotionPlan.sequence(values, parameters, 0.0)
     odrive = EmulatedOdrive(
-        parameters, _plant(servo_parameters(parameters)), SimulatedDevice(), metres_per_turn=0.02
+        parameters,
+        _plant(servo_parameters(parameters)),
+        SimulatedDevice(),
+        metres_per_turn=0.02,
+        closing_s=0.0,
     )
     odrive.exchange(b"w axis0.controller.config.vel_limit 25\nw axis0.requested_state 8\n", 0)
     rng = np.random.default_rng(3)
@@ -191,9 +200,33 @@ def _by_odrive(values: np.ndarray) -> ModalModel:
         position, velocity, _ = plan.at((now_ns - LEAD_NS) * 1e-9)
         command = encode_line(f"p 0 {position / 0.02:.9f} {velocity / 0.02:.6f}")
         answer = odrive.exchange(command + encode_line("f 0"), now_ns)
-        turns, _ = numbers(decode_line(answer), 2)
+        turns, _ = numbers(decode_line(answer), 2, "f 0")
         filmed.hub.append((now_ns + float(rng.uniform(-1e5, 1e5)), turns * 0.02))
         filmed.film(odrive.axis.device_ns - 1_000_000, odrive.axis.snapshots)
+    return filmed.model()
+
+
+def _by_dynamixel(values: np.ndarray) -> ModalModel:
+    """A servo with 4096 counts in 32 mm, 200 uneven questions a second, each stamped to within 0.1 ms."""
+    per_turn = 0.032
+    parameters = RIG.axis_parameters()
+    plan = MotionPlan.sequence(values, parameters, 0.0)
+    plant = _plant(servo_parameters(parameters))
+    servo = EmulatedDynamixel(
+        parameters, plant, SimulatedDevice(), metres_per_turn=per_turn, values={11: 4, 9: 0}
+    )
+    servo.exchange(table.encode_sync_write(1, table.TORQUE_ENABLE, 1), 0)
+    rng = np.random.default_rng(4)
+    filmed = _Filmed(6, resolution=per_turn / table.COUNTS)
+    for k in range(1, round((LEAD_NS * 1e-9 + plan.duration) * 200)):
+        now_ns = k * 5_000_000 + int(rng.integers(0, 1_500_000))
+        position, _, _ = plan.at((now_ns - LEAD_NS) * 1e-9)
+        goal = table.encode_sync_write(1, table.GOAL_POSITION, round(position / per_turn * table.COUNTS))
+        question = table.encode_read(1, table.VELOCITY_AND_POSITION)
+        taken = table.take_status(servo.exchange(goal + question, now_ns))
+        counts = int.from_bytes(table.decode(taken[0]).parameters[4:], "little", signed=True)
+        filmed.hub.append((now_ns + float(rng.uniform(-1e5, 1e5)), counts / table.COUNTS * per_turn))
+        filmed.film(servo.axis.device_ns - 1_000_000, servo.axis.snapshots)
     return filmed.model()
 
 
@@ -218,12 +251,10 @@ def _check_same(model: ModalModel, mode: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("axis", ["trajectory 250 Hz", "odrive"])
+@pytest.mark.parametrize("axis", ["trajectory 250 Hz", "odrive", "dynamixel"])
 def test_the_same_experiment_gives_the_same_model(axis: str) -> None:
-    kind, _, rate = axis.partition(" ")
-    values = _values("acceleration")
-    model = _by_odrive(values) if kind == "odrive" else _by_trajectory(values, float(rate.split()[0]))
-    _check_same(model, "acceleration")
+    by = {"odrive": _by_odrive, "dynamixel": _by_dynamixel}.get(axis, partial(_by_trajectory, rate=250.0))
+    _check_same(by(_values("acceleration")), "acceleration")
 
 
 @pytest.mark.slow

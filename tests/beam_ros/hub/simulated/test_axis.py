@@ -9,10 +9,10 @@ import pytest
 from beam_ros.hub.contract import Outcome
 from beam_ros.hub.errors import SnapshotError
 from beam_ros.hub.faults import fault
+from beam_ros.hub.kinematics import profile_velocity
 from beam_ros.hub.parameters import AxisParameters, SimulatedDevice
 from beam_ros.hub.simulated.axis import VirtualAxis
 from beam_ros.hub.simulated.plant import RigidPlant
-from beam_ros.hub.simulated.profiles import profile_velocity
 from tests.beam_ros.hub.hub_scenes import enabled_axis, rest_to_rest
 
 T = 1e-3

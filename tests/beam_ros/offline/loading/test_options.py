@@ -56,7 +56,7 @@ def test_every_text_becomes_what_it_says() -> None:
         ({"delay": "1+--1"}, "auto, free"),
         ({"segments": "10:2"}, "start:end"),
         ({"segments": "10"}, "start:end"),
-        ({"input": "nonsense"}, "names no field"),
+        ({"input": "/nonsense"}, "names no field"),
         ({"signals": "nowhere.yaml"}, "cannot be read"),
     ],
 )

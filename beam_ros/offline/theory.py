@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from beam_ident import ModalModel
-from beam_ident.report.evidence import ErrorSources, ModeRow, Theory
+from beam_ident.report.evidence import ErrorSources, Theory
 from beam_ident.report.quantities import nearest_mode
 from beam_model import AirDrag, BeamModel, amplitude_law
 from beam_model.fitting.theory_comparison import UncertaintyBudget, compare_with_theory
@@ -20,60 +20,67 @@ from beam_ros.rig.rig import Rig
 
 _STEEL_PER_KELVIN = -1.25e-4  # of natural frequencies: half of what Young's modulus of steel loses
 _STRIP_POINTS = 120
-_UNSEEN = 1e3  # relative: a mode that was not identified weighs nothing
 
 
-def theory_of_rig(rig: Rig, structure: str, modes: Sequence[ModeRow]) -> Theory:
-    """Return the rig's theory beside identified modes, with its budget of type B.
+def theory_of_rig(
+    rig: Rig, structure: str, is_simulated: bool = False, temperature_k: float | None = None
+) -> Theory:
+    """Return the rig's theory: the one that every table, figure and file holds identified modes against.
 
     Parameters
     ----------
     rig : Rig
     structure : str -- what drives the beam: a moved base leaves the clamped modes, a force the free hub's
-    modes : sequence of ModeRow -- what was identified
+    is_simulated : bool -- whether the data are of a computed beam, which is that of theory
+    temperature_k : float, optional -- the budget of what is identified counts the temperature already
 
     Notes
     -----
     The budget is that of ``beam_model.fitting.compare_with_theory``: usual uncertainties of a rolled steel strip in a
-    clamp, in air. It knows clamped modes only; with a free hub the ideal frequencies stand alone.
+    clamp, in air. It knows clamped modes only; with a free hub no uncertainty of theory is known. The clock belongs
+    to what was identified, and is counted there.
     """
     model: BeamModel = rig.beam_model()
-    if structure == "force":
-        return Theory(
-            "Theory: the Galerkin model of the strip on a free hub. Its budget of uncertainty is known for clamped "
-            "modes only, and is left out.",
-            model.free_hub_natural_frequencies,
-            model.free_hub_damping_ratios,
-            model.free_hub_natural_frequencies,
+    is_free = structure == "force"
+    ideal = model.free_hub_natural_frequencies if is_free else model.natural_frequencies
+    damping = model.free_hub_damping_ratios if is_free else model.damping_ratios
+    which = "strip on a free hub" if is_free else "clamped strip"
+    of_beam = f"Theory: the Galerkin model of the {which} of the rig file"
+    if is_simulated:
+        source = (
+            f"{of_beam}. The data are simulated with just this model, so that it has no uncertainty: neither a "
+            "real clamp nor air that is not in the rig file takes anything off."
         )
-    ideal = model.natural_frequencies
-    measured, sd = np.array(ideal), _UNSEEN * np.array(ideal)
-    for mode in modes:
-        k = nearest_mode(ideal, mode.omega)
-        if k is not None:
-            measured[k], sd[k] = mode.omega, mode.omega_sd if math.isfinite(mode.omega_sd) else 0.0
-    n = max([k + 1 for k in range(len(ideal)) if sd[k] < ideal[k]], default=1)
-    compared = compare_with_theory(rig.beam_parameters(), measured[:n], sd[:n], UncertaintyBudget())
-    budget = UncertaintyBudget()
-    of_air = (
-        "" if rig.beam.still_air else f" and {-100 * budget.air_shift:.2g} % for the air that moves along"
-    )
+        if is_free:
+            return Theory(source, ideal, damping, ideal, is_exact=True)
+        predicted, contributions = ideal, {}
+    elif is_free:
+        source = f"{of_beam}. Its budget of uncertainty is known for clamped modes only, and is left out."
+        return Theory(source, ideal, damping, ideal)
+    else:
+        budget = UncertaintyBudget(camera_clock=0.0)
+        if temperature_k is not None:
+            budget = replace(budget, temperature=0.0)
+        compared = compare_with_theory(rig.beam_parameters(), ideal, np.zeros(len(ideal)), budget)
+        of_air = f" and {-100 * budget.air_shift:.2g} % for the air that moves along"
+        source = (
+            f"{of_beam}. The prediction takes {-100 * budget.clamp_shift:.2g} % off for a real clamp"
+            f"{'' if rig.beam.still_air else of_air}, as is usual."
+        )
+        predicted = compared.predicted
+        contributions = {name: part for name, part in compared.contributions.items() if np.any(part)}
     heights = np.array(rig.markers.heights)
     height_sd = np.array(rig.markers.height_uncertainties)
     residues, slopes = model.motion_residues(heights), model.motion_residues(heights, derivative=1)
     strip = np.linspace(0.0, rig.beam.length, _STRIP_POINTS)
     names = rig.markers.names
     return Theory(
-        source=(
-            "Theory: the Galerkin model of the clamped strip of the rig file. The prediction takes "
-            f"{-100 * budget.clamp_shift:.2g} % off for a real clamp{of_air}, as is usual; a simulated beam "
-            "has neither."
-        ),
+        source=source,
         natural_frequencies=ideal,
-        damping_ratios=model.damping_ratios,
-        predicted=np.concatenate([compared.predicted, ideal[n:]]),
-        contributions={name: _padded(part, len(ideal)) for name, part in compared.contributions.items()},
-        chi_squared=compared.chi_squared,
+        damping_ratios=damping,
+        predicted=predicted,
+        contributions=contributions,
+        is_exact=is_simulated,
         residues={name: residues[j] for j, name in enumerate(names)},
         residue_sd={name: np.abs(slopes[j]) * height_sd[j] for j, name in enumerate(names)},
         heights=strip,
@@ -96,11 +103,12 @@ def _over_amplitude(
     return law.frequencies(amplitudes) / (2.0 * math.pi), law.damping_ratios(amplitudes)
 
 
-def _padded(values: FloatArray, n: int) -> FloatArray:
-    return np.pad(values, (0, n - len(values)), constant_values=np.nan)
-
-
-def error_sources(structure: str, models: Sequence[Any], temperature_k: float | None = None) -> ErrorSources:
+def error_sources(
+    structure: str,
+    models: Sequence[Any],
+    temperature_k: float | None = None,
+    is_simulated: bool = False,
+) -> ErrorSources:
     """Return what the scatter of the samples cannot show: time base, temperature, scale.
 
     Parameters
@@ -108,6 +116,7 @@ def error_sources(structure: str, models: Sequence[Any], temperature_k: float | 
     structure : str
     models : sequence of models
     temperature_k : float, optional -- standard uncertainty of the beam's temperature [K]
+    is_simulated : bool -- whether the data were computed, on a time base without error
 
     Notes
     -----
@@ -119,7 +128,9 @@ def error_sources(structure: str, models: Sequence[Any], temperature_k: float | 
         if isinstance(model, ModalModel) and structure == "base_motion" and not model.further_inputs:
             for name, gain, sd in zip(model.output_names, model.gains, model.gain_sd, strict=True):
                 scale[name] = float(math.hypot(gain - 1.0, sd))
-    sources = ErrorSources(
-        time_base=UncertaintyBudget().camera_clock, frequency_per_kelvin=_STEEL_PER_KELVIN, scale=scale
+    return ErrorSources(
+        time_base=0.0 if is_simulated else UncertaintyBudget().camera_clock,
+        temperature_k=temperature_k,
+        frequency_per_kelvin=_STEEL_PER_KELVIN,
+        scale=scale,
     )
-    return replace(sources, temperature_k=temperature_k)

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from beam_ros.hub.gate.motion_phases import move_ticks, phases_towards, ramp, stop
+from beam_ros.hub.kinematics import answer, braked_velocity, command_towards, in_ticks, ramp
 from beam_ros.hub.parameters import AxisParameters
-from beam_ros.hub.simulated.profiles import braked_velocity, command_towards
 
 
 def of_the_axis(parameters: AxisParameters, setpoint: float, x: float, v: float, n_ticks: int) -> np.ndarray:
@@ -28,7 +27,7 @@ def of_the_phases(
     parameters: AxisParameters, setpoint: float, x: float, v: float, n_ticks: int
 ) -> np.ndarray:
     positions = [x]
-    for length, acceleration in phases_towards(setpoint, x, v, parameters, n_ticks):
+    for length, acceleration in in_ticks(answer(setpoint, x, v, parameters), parameters.period, n_ticks):
         for _ in range(length):
             x += (v + acceleration * parameters.period / 2) * parameters.period
             v += acceleration * parameters.period
@@ -50,7 +49,8 @@ def test_phases_follow_the_axis_within_its_ticks(mode: str) -> None:
         # moves, phases that are rounded to ticks.
         assert np.abs(found - truth).max() < 1e-3 * (0.5 if mode == "velocity" else 0.1)
         if mode == "position":
-            n_ticks = move_ticks(setpoint, x, v, parameters)
+            phases = in_ticks(answer(setpoint, x, v, parameters), parameters.period)
+            n_ticks = sum(phase.n_ticks for phase in phases)
             assert np.abs(truth[min(n_ticks + 3, 1500) :] - setpoint).max(initial=0.0) < 1e-5
             assert n_ticks < 3 or np.abs(truth[max(0, n_ticks - 40)] - setpoint) > 1e-6
 
@@ -61,7 +61,7 @@ def test_a_stop_takes_as_long_as_the_axis_needs() -> None:
         v, n_ticks = velocity, 0
         while v:
             v, n_ticks = braked_velocity(v, parameters), n_ticks + 1
-        phase = stop(velocity, parameters)
+        (phase,) = in_ticks([ramp(velocity, 0.0, parameters.stop_deceleration)], parameters.period)
         assert phase.n_ticks == n_ticks
         assert velocity + phase.drive * n_ticks * parameters.period == pytest.approx(0.0, abs=1e-15)
-    assert ramp(0.1, 0.1, 10.0, 1e-3) == (0, 0.0)
+    assert in_ticks([ramp(0.1, 0.1, 10.0)], 1e-3) == []

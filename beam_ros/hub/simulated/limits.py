@@ -1,4 +1,4 @@
-"""What the device lets the hub do: profiled moves, braking, and the limits that no command may pass."""
+"""The limits that no command may pass, as the device looks at them before every tick."""
 
 from __future__ import annotations
 
@@ -7,80 +7,12 @@ import math
 from beam_ros.hub.faults import Fault, fault
 from beam_ros.hub.parameters import AxisParameters
 
-ARRIVED = 1e-12
-"""A profiled move ends this close to its target [m]; what rounding leaves is smaller."""
 _SLACK = 1e-5
 """Relative slack of the device's own limits over the host's, so that a checked sequence never trips them."""
 _MIN_JUMP = 0.1
 """The hub's mobility is learned from a change of the force by at least this share of the greatest ..."""
 _MIN_COUNTS = 16
 """... which changes the speed by at least so much more than the tick before did [encoder_resolution / period]."""
-
-
-def profile_velocity(
-    distance: float, velocity: float, speed: float, acceleration: float, period: float, *, is_ramped: bool
-) -> float:
-    """Return the velocity for the end of the next tick of a time-optimal move that ends at rest on target.
-
-    Parameters
-    ----------
-    distance, velocity : float
-        Way still to go [m] and present velocity [m/s], both signed.
-    speed, acceleration : float
-        Limits of the move [m/s], [m/s^2].
-    period : float
-        The device's tick [s].
-    is_ramped : bool
-        Whether the velocity runs linearly through a tick, or jumps at its beginning and stays.
-
-    Notes
-    -----
-    With u = v/(aT) and D = d/(a T^2), braking from u' by one unit a tick covers
-    u' + (u' - 1) + ... = (n + 1) u' - n (n + 1)/2 with n = floor(u'), where the velocity jumps. Where it is
-    ramped, the way of the coming tick, u/2, and half of each later one give the same sum for D - u/2. So
-    u' = E/(n + 1) + n/2 with n = floor((sqrt(1 + 8 E) - 1)/2) lands on the target exactly.
-    """
-    unit = acceleration * period
-    way = distance / (unit * period) - (velocity / (2 * unit) if is_ramped else 0.0)
-    size = abs(way)
-    n = math.floor((math.sqrt(1.0 + 8.0 * size) - 1.0) / 2.0)
-    wanted = math.copysign(size / (n + 1) + n / 2, way) * unit
-    wanted = min(max(wanted, -speed), speed)
-    return min(max(wanted, velocity - unit), velocity + unit)
-
-
-def braked_velocity(velocity: float, parameters: AxisParameters) -> float:
-    """Return the velocity [m/s] for the end of a tick of the stop ramp, from ``velocity``."""
-    step = parameters.stop_deceleration * parameters.period
-    return 0.0 if abs(velocity) <= step else velocity - math.copysign(step, velocity)
-
-
-def command_towards(setpoint: float, position: float, velocity: float, parameters: AxisParameters) -> float:
-    """Return a tick's command on the way to a set-point, in the command mode's unit.
-
-    Parameters
-    ----------
-    setpoint : float
-        In the command mode's unit.
-    position, velocity : float
-        Where the hub is [m] and how it moves [m/s].
-    parameters : AxisParameters
-        Command mode, limits and tick.
-    """
-    mode, period = parameters.command_mode, parameters.period
-    if mode == "velocity":
-        step = parameters.max_acceleration * period
-        return min(max(setpoint, velocity - step), velocity + step)
-    if mode != "position":
-        return setpoint
-    # Position commands name the end of the tick, as the samples of a sequence do.
-    distance = setpoint - position
-    velocity = profile_velocity(
-        distance, velocity, parameters.move_speed, parameters.move_acceleration, period, is_ramped=False
-    )
-    if abs(distance - velocity * period) < ARRIVED:
-        return setpoint
-    return position + velocity * period
 
 
 class SpeedForecast:

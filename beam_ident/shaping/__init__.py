@@ -1,0 +1,1 @@
+"""Moves that leave the beam at rest: shaped commands, what swing they leave, and the choice among them."""

@@ -1,0 +1,1 @@
+"""Other people's files of measurements: columns with names and units, whatever the format."""
