@@ -13,7 +13,7 @@ from beam_ros.hub.emulated.controller import EmulatedController
 from beam_ros.hub.emulated.injected_faults import read_schedule
 from beam_ros.hub.emulated.line_board import COUNT, LineBoard
 from beam_ros.hub.link_parameters import CsvColumns
-from beam_ros.hub.links.csv_board import REFUSAL, SILENCE_NS, CsvHub
+from beam_ros.hub.links.csv_board import READ_S, REFUSAL, SILENCE_NS, CsvHub
 from beam_ros.hub.parameters import AxisParameters, LinkParameters, SimulatedDevice
 from beam_ros.hub.simulated.plant import RigidPlant
 from tests.beam_ros.hub.hub_scenes import LiveRig, chunks_of, rest_to_rest
@@ -73,7 +73,8 @@ def test_positions_are_those_of_their_stamps_by_the_boards_own_clock(start) -> N
     # The shortest delay of a line stays in the stamps as a constant; else half a count is left.
     error, velocity = positions - truth, np.gradient(truth, stamps * 1e-9)
     delay = -float(velocity @ error) / float(velocity @ velocity)
-    assert 0.0 < delay < 3e-3
+    # How short it is, is this computer's to say; `test_csv_measurements` holds it in virtual time.
+    assert 0.0 < delay < READ_S
     assert np.std(error + delay * velocity) < 3e-6
     assert np.max(np.abs(truth)) > 0.001
     assert np.median(np.diff(stamps)) == pytest.approx(5e6 / 1.0002, rel=1e-3)
