@@ -20,7 +20,7 @@ _SHOWN = 4.0  # half-widths of the identified interval
 
 def insensitivity_figure(choice: Choice) -> Figure:
     """Draw what moves leave over the error of the frequencies, with the identified interval and the aim."""
-    figure, axes = axes_grid(2, 1, (9.0, 5.0), height_ratios=(5.0, 1.0))
+    figure, axes = axes_grid(2, 1, (9.0, 4.7), height_ratios=(6.0, 1.0))
     axis, below = axes[:, 0]
     beam = choice.beam
     half = 1.96 * float(beam.frequency_sd[0])

@@ -135,7 +135,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     def check(path: AnyPath, options: FitOptions) -> Sequence[Gate]:
         stage.update(0.0, f"checking {path}")
-        checks.append(check_bag(path, rig, options))
+        checks.append(check_bag(path, rig, options, start_s=start_s, end_s=end_s))
         # Said before the fit, which may fail for just these reasons.
         for gate in checks[-1].gates:
             if gate.verdict in ("failed", "doubtful"):
