@@ -66,7 +66,9 @@ def _structure(settings: EstimatorSettings) -> Any:
     """Return the structure's name, or the structure without the terms that are left out."""
     if not settings.without:
         return settings.structure
-    return ModalStructure(settings.structure, **{f"has_{term}": False for term in settings.without})
+    structure = ModalStructure(settings.structure)
+    left_out: dict[str, Any] = {f"has_{term}": False for term in settings.without}
+    return dataclasses.replace(structure, **left_out)
 
 
 def transfer_function(record: Records, settings: EstimatorSettings) -> SeparateOutputsResult:

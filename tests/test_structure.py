@@ -10,6 +10,8 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("beam_model", "beam_ident", "beam_ros")
 
 TESTED_IN = (
+    ("beam_ident/modal", "mode_change", "modal_identification/test_change_moves"),
+    ("beam_ident/modal_identification", "mode_changes", "modal_identification/test_change_moves"),
     # room, modules, file of their tests (from the tests of the room's package)
     ("beam_model", "errors", "test_parameters"),
     ("beam_model", "frequency_response", "galerkin/test_model"),

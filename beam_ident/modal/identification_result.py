@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Literal
 
 from beam_ident.arrays import ComplexArray, FloatArray
 from beam_ident.data.bandwidth import Band
@@ -84,6 +85,42 @@ class OutputFit:
     records: tuple[RecordFit, ...]
 
 
+@dataclass(frozen=True)
+class FrequencyChange:
+    """How a natural frequency changed while it was recorded; the model has the one in between.
+
+    Attributes
+    ----------
+    mode : int -- its number, from 0
+    over : {"time", "swing"} -- evenly from the first stamp to the last, or with the square of the mode's amplitude
+    from_hz, to_hz : float -- at the first stamp or at rest, and at the last stamp or at the largest amplitude
+    share, share_sd : float -- the difference as a share of the model's, and its standard deviation
+    swing : float -- the largest amplitude, at the output where it is largest and in its unit; 0 over time
+    """
+
+    mode: int
+    over: Literal["time", "swing"]
+    from_hz: float
+    to_hz: float
+    share: float
+    share_sd: float
+    swing: float = 0.0
+
+    @property
+    def sentence(self) -> str:
+        """What must be known of it."""
+        where = "from the first stamp to the last"
+        remedy = "Record again once it is steady, or compare records"
+        if self.over == "swing":
+            where = f"from rest to a swing of {self.swing:.3g}"
+            remedy = "Excite less for the frequency of small motion, or let amplitude_curves follow a decay"
+        return (
+            f"The natural frequency of mode {self.mode + 1} changed by {100.0 * self.share:+.3g} +- "
+            f"{100.0 * self.share_sd:.1g} % {where}, {self.from_hz:.6g} to {self.to_hz:.6g} Hz: that was estimated "
+            f"along, and the model has the one in between. {remedy}."
+        )
+
+
 @dataclass(frozen=True, eq=False)
 class IdentificationResult(OverOutputs):
     """A modal model and what is to be known about its estimation.
@@ -101,6 +138,7 @@ class IdentificationResult(OverOutputs):
     warnings : tuple of str -- what a reader must know before trusting the numbers
     doubts : tuple of str -- of every mode why it cannot be trusted; empty where it can
     clock_jumps : tuple of ClockJump -- steps of the stamps' clocks; the stamps of the outputs are those without
+    frequency_changes : tuple of FrequencyChange -- of modes whose frequencies are not steady
         Beside these, everything that ``OverOutputs`` lists.
     """
 
@@ -115,6 +153,7 @@ class IdentificationResult(OverOutputs):
     warnings: tuple[str, ...]
     doubts: tuple[str, ...] = ()
     clock_jumps: tuple[ClockJump, ...] = ()
+    frequency_changes: tuple[FrequencyChange, ...] = ()
 
     def output(self, name: str) -> OutputFit:
         """Return the fit of one output by its name."""

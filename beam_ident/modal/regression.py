@@ -26,12 +26,13 @@ from beam_ident.data.gaps import InputGap
 from beam_ident.data.records import InputSignal, LowPass, OutputSignal, TimeRecord
 from beam_ident.errors import EstimationError
 from beam_ident.modal.block_rows import BlockPart, BlockRows, ColumnBlock
+from beam_ident.modal.mode_change import ModeChange, changes_of
 from beam_ident.modal.restarts import RestartColumns, Restarts, restart_columns
 from beam_ident.modal.structure import ModalStructure
 from beam_ident.noise.input_noise import Smoothing
 from beam_ident.numerics.free_motion import free_motions
 from beam_ident.numerics.piecewise import Instants, PiecewisePolynomial
-from beam_ident.numerics.pole_response import PoleResponses
+from beam_ident.numerics.pole_response import PoleResponses, SampledResponses
 
 CLOCK_MARGIN_S = 0.25  # how far a latency may move the stamps beyond the input's ends
 MAX_LATENCY_S = 0.2  # of a fit: within the margin, half an exposure included
@@ -215,6 +216,12 @@ class _PreparedRecord:
         result._samplings = None
         return result
 
+    def with_structure(self, structure: ModalStructure) -> _PreparedRecord:
+        """Return the record with a structure that differs in how modes change."""
+        result = copy.copy(self)
+        result.structure = structure
+        return result
+
     def _sampling(self, number: int, clock: ClockState) -> _Sampling:
         known = None if self._samplings is None else self._samplings.get(number)
         if known is not None and known.clock == clock:
@@ -268,10 +275,15 @@ class _PreparedRecord:
     ) -> _GridColumns:
         """Return every column at one grid of stamps."""
         structure, grid = self.structure, self.grids[number]
-        poles = modal_poles(omegas, zetas)
         sampling = self._sampling(number, clock)
+        changes = changes_of(structure.changes, omegas)
+        if changes:
+            zetas = zetas.copy()
+            for mode, own in changes.items():
+                zetas[mode] = own.damping_ratio(float(omegas[mode]), float(zetas[mode]))
+        poles = modal_poles(omegas, zetas)
         by_input = [
-            self._forced(driving, seen, omegas, zetas, gradients)
+            self._forced(driving, seen, omegas, zetas, gradients, changes)
             for driving, seen in zip(self.drivings[grid.low_pass], sampling.seen, strict=True)
         ]
         forced = by_input[0]
@@ -281,9 +293,14 @@ class _PreparedRecord:
         by_log_omega, by_zeta = pole_slopes(omegas, zetas)
         free: tuple[ComplexArray, ...] = ()
         if structure.has_free_response:
+            elapsed, paces = sampling.elapsed, None
+            if changes:
+                elapsed, paces = self._in_own_times(elapsed, len(omegas), changes)
             free = free_motions(
-                column, sampling.elapsed, grid.exposure_s, (by_log_omega, by_zeta) if gradients else ()
+                column, elapsed, grid.exposure_s, (by_log_omega, by_zeta) if gradients else ()
             )
+            if paces is not None and gradients:
+                free = (*free[:-1], free[-1] * paces)
         instants = self.instants(number, clock) if self.restarts else sampling.elapsed
         restarts = tuple(
             restart_columns(
@@ -298,12 +315,56 @@ class _PreparedRecord:
         )
         return _GridColumns(sampling, forced, free, (grid.times - self.middle) / self.length, restarts)
 
+    def _in_own_times(
+        self, elapsed: FloatArray, n_modes: int, changes: Mapping[int, ModeChange]
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the time that has elapsed for every mode, and how fast it does, each (n_modes, n)."""
+        found, paces = np.tile(elapsed, (n_modes, 1)), np.ones((n_modes, len(elapsed)))
+        for mode, own in changes.items():
+            instants = elapsed + self.start
+            found[mode] = own.own_time(instants) - own.own_time(np.array([self.start]))
+            paces[mode] = own.pace(instants)
+        return found, paces
+
+    def _change(
+        self,
+        sampled: SampledResponses,
+        changes: Mapping[int, ModeChange],
+        driving: _Driving,
+        seen: _Seen,
+        poles: ComplexArray,
+    ) -> None:
+        """Put in the responses of modes that change, which are those of a mode that does not in its own time."""
+        before, after = self.structure.pace_powers
+        for mode, own in changes.items():
+            drive = own.signal(driving.drive, before)
+            instants = Instants.on(drive, own.own_time(seen.instants.times), seen.instants.exposure_s)
+            gradients = sampled.pole_slopes is not None
+            responses = PoleResponses(poles[mode : mode + 1], drive, gradients)
+            changed = responses.sample(instants, gradients)
+            pace = own.pace(seen.instants.times)
+            factor = pace**after
+            sampled.values[mode] = factor * changed.values[0]
+            if sampled.pole_slopes is not None and sampled.time_slopes is not None:
+                assert changed.pole_slopes is not None
+                assert changed.time_slopes is not None
+                sampled.pole_slopes[mode] = factor * changed.pole_slopes[0]
+                sampled.time_slopes[mode] = factor * pace * changed.time_slopes[0]
+
     def _forced(
-        self, driving: _Driving, seen: _Seen, omegas: FloatArray, zetas: FloatArray, gradients: bool
+        self,
+        driving: _Driving,
+        seen: _Seen,
+        omegas: FloatArray,
+        zetas: FloatArray,
+        gradients: bool,
+        changes: Mapping[int, ModeChange],
     ) -> tuple[FloatArray, ...]:
         """Return the columns of all modes under one input, and their derivatives by (log omega, zeta, time)."""
         structure, poles = self.structure, modal_poles(omegas, zetas)
         sampled = driving.responses(poles, gradients).sample(seen.instants, gradients)
+        if changes:
+            self._change(sampled, changes, driving, seen, poles)
         power, column = structure.differentiations, poles[:, None]
         # (I.5): one real column for every mode, Im(factor x).
         factor = column**power * structure.sign / column.imag
@@ -455,6 +516,19 @@ class ModalRegression:
         result = self._like()
         result.own_columns = dict(columns)
         result._find_blocks()
+        return result
+
+    @property
+    def stamps_span_s(self) -> tuple[float, float]:
+        """First and last stamp of the first record [s]."""
+        first = self._prepared[0]
+        return first.middle - 0.5 * first.length, first.middle + 0.5 * first.length
+
+    def with_changes(self, changes: tuple[ModeChange, ...]) -> ModalRegression:
+        """Return the regression with modes whose frequencies change so over a record."""
+        result = self._like()
+        result.structure = replace(self.structure, changes=changes)
+        result._prepared = [own.with_structure(result.structure) for own in self._prepared]
         return result
 
     def weighed(self, levels: Sequence[FloatArray]) -> ModalRegression:
@@ -798,7 +872,8 @@ class ModalRegression:
         Where modes begin anew, what free motion since then explains is taken out: a bridge that nobody believes
         leaves nothing else there.
         """
-        blocks = self._plain_blocks(omegas, zetas, clock, gradients=False, with_restarts=False)
+        steady = self.with_changes(()) if self.structure.changes else self
+        blocks = steady._plain_blocks(omegas, zetas, clock, gradients=False, with_restarts=False)
         found = [block.matrix.T[block.mode_columns] for block in blocks]
         poles = modal_poles(omegas, zetas)[:, None]
         for columns, (parts, _) in zip(found, self._block_keys, strict=True):

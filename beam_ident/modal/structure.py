@@ -24,6 +24,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from beam_ident.errors import EstimationError
+from beam_ident.modal.mode_change import ModeChange
 
 StructureKind = Literal[
     "base_motion", "velocity", "acceleration", "force", "receptance", "mobility", "accelerance"
@@ -71,6 +72,8 @@ class ModalStructure:
         Whether every output has an unknown constant and a drift, in each record.
     has_free_response : bool
         Whether the modes may already move when a record begins.
+    changes : tuple of ModeChange
+        Modes whose natural frequencies change while they are recorded.
     """
 
     kind: StructureKind = "base_motion"
@@ -78,6 +81,7 @@ class ModalStructure:
     has_offset: bool = True
     has_ramp: bool = True
     has_free_response: bool = True
+    changes: tuple[ModeChange, ...] = ()
 
     def __post_init__(self) -> None:
         if self.kind not in _DIFFERENTIATIONS:
@@ -104,6 +108,13 @@ class ModalStructure:
     def is_test(self) -> bool:
         """Whether force and motion are what a vibration test measures, by one instrument with one clock."""
         return self.kind in ("receptance", "mobility", "accelerance")
+
+    @property
+    def pace_powers(self) -> tuple[int, int]:
+        """Powers of the pace of a mode that changes, by which its input and its motion are multiplied."""
+        if self.is_motion:
+            return self.differentiations - 2, 0
+        return -2, self.differentiations
 
     @property
     def has_direct(self) -> bool:

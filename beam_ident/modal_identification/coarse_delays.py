@@ -46,8 +46,8 @@ def coarse_delays(records: Sequence[TimeRecord], input_name: str, near_s: float 
         if not all(np.isfinite(steps)):
             continue
         step = max(steps)
-        shortest = min(float(np.ptp(record.input(input_name).times_s)) for record in with_it)
-        n_lags = int(0.5 * shortest / step)
+        spans = [_span(record, input_name, name) for record in with_it]
+        n_lags = int(0.5 * min(last - first for first, last in spans) / step)
         if n_lags < _MIN_SAMPLES:
             continue
         powers = np.zeros(2 * n_lags + 1)
@@ -73,17 +73,23 @@ def _step(record: TimeRecord, name: str) -> float:
     return float(np.median(np.diff(times))) / (_BAND * _PER_CYCLE)
 
 
+def _span(record: TimeRecord, input_name: str, name: str) -> tuple[float, float]:
+    """Return from when to when both an input and an output are known [s]."""
+    drive, output = record.input(input_name), record.output(name)
+    times = output.times_s[output.is_valid]
+    return max(drive.span_s[0], float(times[0])), min(drive.span_s[1], float(times[-1]))
+
+
 def _phase_correlation(
     record: TimeRecord, input_name: str, name: str, step: float, n_lags: int
 ) -> FloatArray:
     """Return the correlation of an output with the input at lags from -n to n steps, all lines of equal weight."""
     drive, output = record.input(input_name), record.output(name)
     seen = output.is_valid
-    first, last = drive.span_s
-    grid = np.arange(first, last, step)
-    # A line from the first to the last value is taken out: what is left has no jump at its ends.
-    u = _without_line(np.interp(grid, drive.times_s, drive.values))
-    y = _without_line(np.interp(grid, output.times_s[seen], output.values[seen]))
+    grid = np.arange(*_span(record, input_name, name), step)
+    # Both fade at their ends, which would else be what most lines show: those at which nothing moves.
+    u = _faded(np.interp(grid, drive.times_s, drive.values))
+    y = _faded(np.interp(grid, output.times_s[seen], output.values[seen]))
     size = 2 ** int(np.ceil(np.log2(2 * len(grid))))
     cross = np.fft.rfft(y, size) * np.conj(np.fft.rfft(u, size))
     cross[np.fft.rfftfreq(size) > 1.0 / _PER_CYCLE] = 0.0  # of a step: above, an output shows aliases
@@ -91,5 +97,6 @@ def _phase_correlation(
     return np.asarray(np.concatenate([correlation[-n_lags:], correlation[: n_lags + 1]]))
 
 
-def _without_line(values: FloatArray) -> FloatArray:
-    return np.asarray(values - np.linspace(values[0], values[-1], len(values)))
+def _faded(values: FloatArray) -> FloatArray:
+    """Return values without the line from the first to the last, which fade in and out."""
+    return np.asarray((values - np.linspace(values[0], values[-1], len(values))) * np.hanning(len(values)))

@@ -14,11 +14,12 @@ from beam_ident.data.prior import Prior
 from beam_ident.data.records import InputSignal, LowPass, TimeRecord
 from beam_ident.data.stamp_jumps import ClockJump, is_after
 from beam_ident.modal.fit import ModalFit
+from beam_ident.modal.identification_result import FrequencyChange
+from beam_ident.modal.mode_change import ModeChange, changes_of
 from beam_ident.modal.model import ModalModel
 from beam_ident.modal.regression import ModalRegression
-from beam_ident.modal_identification.clock_search import (
-    own_clock_columns,
-)
+from beam_ident.modal_identification.clock_search import own_clock_columns
+from beam_ident.modal_identification.mode_changes import change_columns
 from beam_ident.modal_identification.sensor_low_passes import low_pass_columns
 
 _MIN_SD = 1e-9, 1e-12  # of a latency [s], of a rate: what is known is known so well
@@ -37,6 +38,7 @@ class SignalClocks:
     jumps : tuple of ClockJump
     known : tuple of two mappings -- what is known of latencies and of rates of single outputs, by name
     low_passes : mapping -- of outputs by name, as far as their records state them already
+    changes : tuple of ModeChange -- of modes, as far as the structure states them already
     """
 
     output_names: tuple[str, ...]
@@ -45,6 +47,7 @@ class SignalClocks:
     jumps: tuple[ClockJump, ...]
     known: tuple[Mapping[str, Prior], Mapping[str, Prior]]
     low_passes: Mapping[str, LowPass] = field(default_factory=dict)
+    changes: tuple[ModeChange, ...] = ()
 
     @staticmethod
     def of(
@@ -56,21 +59,23 @@ class SignalClocks:
     ) -> SignalClocks:
         """Return those of the signals of a regression."""
         names = regression.output_names, regression.input_names
-        return SignalClocks(*names, own, tuple(jumps), known, low_passes)
+        return SignalClocks(*names, own, tuple(jumps), known, low_passes, regression.structure.changes)
 
     def __bool__(self) -> bool:
         """Return whether there is anything to be estimated."""
-        return bool(self.own or self.jumps or self.low_passes)
+        return bool(self.own or self.jumps or self.low_passes or self.changes)
 
     def estimated_in(
         self, regression: ModalRegression, fit: ModalFit, records: Sequence[TimeRecord]
     ) -> ModalRegression:
         """Return a regression that knows own clocks of some outputs, and jumps of clocks, to be estimates."""
         slopes, columns = own_clock_columns(regression, fit), {}
+        by_change = change_columns(regression, fit, self.changes)
         for j, (name, (by_delay, by_rate)) in enumerate(zip(regression.output_names, slopes, strict=True)):
             own = [by_delay, by_rate][: self._n_of_clock(name)]
             if self._n_of_low_pass(name):
                 own += list(low_pass_columns(regression, records, fit, name).T)
+            own += list(by_change[j].T)
             own += [by_delay * after for after in self._after_jumps(j, regression, records)]
             if own:
                 columns[j] = np.stack(own, axis=1)
@@ -107,9 +112,13 @@ class SignalClocks:
         return [jump for jump in self.jumps if seen.intersection(jump.signals)]
 
     def _own_places(self, output: int, fit: ModalFit) -> list[int]:
-        """Return where among all parameters those of an output alone are: delay, rate, low-pass, then jumps."""
+        """Return where among all parameters those of an output alone are.
+
+        Delay, rate and low-pass, then what it says of changes of modes, then of jumps.
+        """
         name = self.output_names[output]
-        count = self._n_of_clock(name) + self._n_of_low_pass(name) + len(self._jumps_of(name))
+        count = self._n_of_clock(name) + self._n_of_low_pass(name)
+        count += len(self.changes) + len(self._jumps_of(name))
         end = fit.n_theta + sum(len(found) for found in fit.coefficients[: output + 1])
         return list(range(end - count, end))
 
@@ -173,14 +182,33 @@ class SignalClocks:
                 own = self._own_places(j, fit)[-len(seen) :]
                 places.append(own[seen.index(jump)])
                 values.append(float(fit.coefficients[j][seen.index(jump) - len(seen)]))
-            covariance = fit.covariance[np.ix_(places, places)]
-            scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-            weights = np.linalg.pinv(covariance / np.outer(scale, scale), rcond=1e-9, hermitian=True)
-            weights = weights / np.outer(scale, scale)
-            total = max(float(np.sum(weights)), 1e-300)
-            further = float(np.sum(weights @ np.array(values))) / total
-            found.append(replace(jump, size_s=jump.size_s + further, size_sd=total**-0.5))
+            further, sd = _together(places, values, fit)
+            found.append(replace(jump, size_s=jump.size_s + further, size_sd=sd))
         return tuple(found)
+
+    def estimated_changes(self, fit: ModalFit) -> list[tuple[ModeChange, float, float]]:
+        """Return how modes change as all outputs say together, what is new in that, and its standard deviation."""
+        found = []
+        for k, change in enumerate(self.changes):
+            places, values = [], []
+            for j, name in enumerate(self.output_names):
+                first = self._n_of_clock(name) + self._n_of_low_pass(name) + k
+                places.append(own := self._own_places(j, fit)[first])
+                values.append(_value_at(fit, j, own))
+            further, sd = _together(places, values, fit)
+            (mode,) = changes_of([change], fit.omegas)
+            omega, share = float(fit.omegas[mode]), change.share + further
+            found.append((replace(change, omega=omega, share=share), further, sd))
+        return found
+
+    def frequency_changes(self, fit: ModalFit) -> tuple[FrequencyChange, ...]:
+        """Return how natural frequencies changed, in the order of the modes."""
+        found = []
+        for change, _, sd in self.estimated_changes(fit):
+            (mode,) = changes_of([change], fit.omegas)
+            first, last = change.ends_hz
+            found.append(FrequencyChange(mode, change.over, first, last, change.share, sd, change.swing))
+        return tuple(sorted(found, key=lambda own: own.mode))
 
     def clocked(self, model: ModalModel, fit: ModalFit) -> ModalModel:
         """Return the model with the clocks and low-passes that outputs have of their own."""
@@ -204,6 +232,22 @@ class SignalClocks:
             output_low_passes=low_passes,
             output_low_pass_sd=low_pass_sd,
         )
+
+
+def _value_at(fit: ModalFit, output: int, place: int) -> float:
+    """Return a parameter of one output that stands somewhere among all."""
+    first = fit.n_theta + sum(len(found) for found in fit.coefficients[:output])
+    return float(fit.coefficients[output][place - first])
+
+
+def _together(places: Sequence[int], values: Sequence[float], fit: ModalFit) -> tuple[float, float]:
+    """Return what parameters that should be one are together, weighed by their covariance, and its sd."""
+    covariance = fit.covariance[np.ix_(places, places)]
+    scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    weights = np.linalg.pinv(covariance / np.outer(scale, scale), rcond=1e-9, hermitian=True)
+    weights = weights / np.outer(scale, scale)
+    total = max(float(np.sum(weights)), 1e-300)
+    return float(np.sum(weights @ np.array(values))) / total, total**-0.5
 
 
 def clock_sentences(model: ModalModel) -> list[str]:

@@ -29,6 +29,7 @@ from beam_ident.modal_estimation.mode_search import (
     checked_limit,
     silent,
 )
+from beam_ident.modal_identification.change_moves import ModeChanges
 from beam_ident.modal_identification.clock_jump_moves import ClockJumps
 from beam_ident.modal_identification.clock_moves import IdleClocks, OwnClockSteps, SensorLowPasses
 from beam_ident.modal_identification.coarse_delays import coarse_delays
@@ -220,7 +221,15 @@ def _explored_on(asked: IdentificationTask, conditions: Conditions, jumps: Clock
     """Return where the search ends that begins on clocks with some jumps, or none."""
     clocks = {**conditions.clocks, **_known_clocks(asked, conditions)}
     steps = OwnClockSteps(len(conditions.measured[0].outputs))
-    moves = steps, SensorLowPasses(steps), IdleClocks(), OutlierMask(), jumps, UnseenInputNoise()
+    moves = (
+        ModeChanges(),
+        steps,
+        SensorLowPasses(steps),
+        IdleClocks(),
+        OutlierMask(),
+        jumps,
+        UnseenInputNoise(),
+    )
     return explored(asked.end, replace(conditions, clocks=clocks), moves)
 
 

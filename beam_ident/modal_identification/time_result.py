@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -84,6 +84,7 @@ class Findings:
         """
         fit, regression = self.weighed.fit, self.weighed.problem
         model, jumps = self.clocks.clocked(self.found, fit), self.clocks.estimated_jumps(fit)
+        changes = self.clocks.frequency_changes(fit)
         rigid = [self._rigid(j, fit, regression) for j in range(regression.n_outputs)]
         deflections: Sequence[FloatArray] = regression.values
         if any(map(np.any, rigid)):
@@ -94,7 +95,7 @@ class Findings:
         )
         return IdentificationResult(
             model=model,
-            structure=regression.structure,
+            structure=replace(regression.structure, changes=()),  # they are of these records
             outputs=outputs,
             orders=orders,
             band=self.band,
@@ -106,12 +107,14 @@ class Findings:
                 + clock_sentences(model)
                 + hold_warnings(model, self.plain.drives, not self.priors[0].is_free)
                 + [jump.sentence for jump in jumps]
+                + [change.sentence for change in changes]
                 + self._gain_warnings(model)
                 + self._input_warnings(model)
                 + self._warnings(fit, regression, outputs)
             ),
             doubts=tuple(mode_complaint(fit, regression, mode, self.band) for mode in range(len(fit.omegas))),
             clock_jumps=jumps,
+            frequency_changes=changes,
         )
 
     def _gain_warnings(self, model: ModalModel) -> list[str]:

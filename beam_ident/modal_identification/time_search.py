@@ -77,15 +77,14 @@ _CLOCK_STARTS = 3
 _CLOCK_SETTLED = 0.5  # standard deviations that the last turn may still move a clock of its own
 _STRAY = 0.5  # of its lag: as far a low-pass may be moved at once
 _LINEAR = 5e-3  # radians of the fastest mode: a step so small changes amplitudes by 1e-5
-_CLOCK_ROUNDS = 3
-_OWN_CLOCK_TURNS = 3  # of own clocks and the modes that show them
+_CLOCK_TURNS = 3  # of clocks and the modes that show them
 _ASKED = 3  # outputs by themselves, until one shows its modes without a doubt
 _FAR_STARTS = 12  # crests that poles which were bent by a wrong clock are tried at
 _GLANCE = 2  # iterations that sort them
 _AS_GOOD = 10.0  # in log-likelihood: less than BIC charges for a mode
 _BENT_LEVEL = 1e-3  # how often modes in phase with their input are taken not to be
 _RESTART_TURNS = 4  # of the gaps that matter, and the noise that says so
-_WORTH_A_LOOK = 1.0  # gain in log-likelihood
+WORTH_A_LOOK = 1.0  # gain in log-likelihood
 _MOSTLY = 0.5  # of what a fit leaves
 _HOPE = 5.0  # times what a mode promises with all other poles held, it may gain at most
 
@@ -141,15 +140,15 @@ class TimeSearch(ModeSearch[ModalRegression]):
             return fit
         thinned = self.scan.regression
         priors = self.latency, self.clock_rate
-        for _ in range(_CLOCK_ROUNDS):
+        for _ in range(_CLOCK_TURNS):
             places = clock_places(thinned, fit, *priors, _CLOCK_STARTS)
-            places = [place for place in places if place.gain > _WORTH_A_LOOK]
+            places = [place for place in places if place.gain > WORTH_A_LOOK]
             if not places:
                 return fit
             here = fit_modes(thinned, fit.omegas, fit.zetas, fit.clock, *priors, SHORT)
             starts = [fit_modes(thinned, fit.omegas, fit.zetas, p.clock, *priors, SHORT) for p in places]
             start = min(starts, key=lambda start: start.cost)
-            if not start.cost < here.cost - _WORTH_A_LOOK:
+            if not start.cost < here.cost - WORTH_A_LOOK:
                 return fit
             again = self.fit(start.omegas, start.zetas, start.clock)
             if not again.cost < fit.cost:
@@ -177,7 +176,7 @@ class TimeSearch(ModeSearch[ModalRegression]):
         starts = sorted(starts, key=lambda start: start.cost)[:_CLOCK_STARTS]
         starts = [fit_modes(thinned, s.omegas, s.zetas, s.clock, *priors, SHORT) for s in starts]
         least = min(start.cost for start in starts)
-        if not least < here.cost - _WORTH_A_LOOK:
+        if not least < here.cost - WORTH_A_LOOK:
             return []
         # Modes too many make up for what is wrong with a clock: those that need fewer are to be seen, too.
         near = [start for start in starts if start.cost < least + _AS_GOOD]
@@ -244,7 +243,7 @@ class TimeSearch(ModeSearch[ModalRegression]):
                     search.go_on_from(by_itself.chosen)
                 for term in terms:
                     search.go_on_from(searches[terms - {term}].chosen)
-                if alone.cost - search.chosen.cost > _WORTH_A_LOOK:
+                if alone.cost - search.chosen.cost > WORTH_A_LOOK:
                     turned_from.setdefault(terms, alone)
         return search.chosen
 
@@ -304,7 +303,7 @@ class TimeSearch(ModeSearch[ModalRegression]):
     def _refined(self, clocks: Mapping[str, OwnClock], modes: ModalFit) -> dict[str, OwnClock]:
         """Return clocks of outputs by themselves as all outputs together say, with modes that one of them shows."""
         found = dict(clocks)
-        for _ in range(_OWN_CLOCK_TURNS):
+        for _ in range(_CLOCK_TURNS):
             records = [on_common_clock(one, found) for one in self.records]
             regression = ModalRegression(records, self.plain.structure, self.input_names)
             if max(map(len, regression.times)) > THINNED:
