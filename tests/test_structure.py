@@ -124,7 +124,6 @@ TESTED_IN = (
     ("beam_ros/hub/emulated", "line_board", "hub/links/test_csv_board"),
     ("beam_ros/hub/emulated", "lies", "hub/test_axis_safety"),
     ("beam_ros/hub/emulated", "pseudo_terminal", "hub/emulated/test_controller"),
-    ("beam_ros/hub/links", "csv_measurements", "hub/links/test_csv_board"),
     ("beam_ros/hub/links", "course place", "hub/links/test_host_axis"),
     ("beam_ros/hub/simulated", "drifting_clock", "hub/simulated/test_simulated_hub"),
     ("beam_ros/hub/emulated", "odrive servo", "hub/links/test_odrive"),

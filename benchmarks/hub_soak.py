@@ -1,0 +1,97 @@
+"""Whether the node `hub` keeps its memory and its descriptors, however long it is connected.
+
+    python -m benchmarks.hub_soak [--minutes M] [--kind KIND] [--json FILE]
+
+Real processes on a domain of their own: the emulated controller on a pseudo-terminal, its driver, and this process,
+which listens and commands. First the axis rests, connected and not enabled, which nothing ends and nothing clears;
+then it runs one sequence after another. The slope of the memory is that of the straight line through what the kernel
+says of the driver every few seconds, without the first fifth of the time, in which buffers fill.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+from beam_ros.launching.processes import PrivateDomain, stay_on_this_machine
+from benchmarks.hub_driver import Desk, Pair, quiet_sequence
+
+EVERY_S = 5.0
+SEQUENCE_S = 30.0
+FILLING = 0.2
+"""Share of the time in which buffers fill."""
+PHASES = ("at rest", "in sequences")
+
+
+def held(pid: int) -> tuple[float, int]:
+    """Return a process's memory [MB] and the number of its descriptors."""
+    pages = int(Path(f"/proc/{pid}/statm").read_text(encoding="ascii").split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6, len(os.listdir(f"/proc/{pid}/fd"))
+
+
+def watch(desk: Desk, pid: int, minutes: float, *, moves: bool) -> dict[str, float]:
+    """Return what became of memory and descriptors in the minutes that come."""
+    samples: list[tuple[float, float, int]] = []
+    begun = time.monotonic()
+    rested = begun
+    while (now := time.monotonic()) < begun + 60.0 * minutes:
+        if moves and now >= rested:
+            desk.send_sequence(quiet_sequence(SEQUENCE_S), 1.0)
+            rested = now + SEQUENCE_S + 3.0
+        desk.spin(EVERY_S)
+        desk.applied.clear()
+        desk.lateness_ns.clear()
+        samples.append(((time.monotonic() - begun) / 60.0, *held(pid)))
+    times, memory, descriptors = np.array(samples).T
+    kept = times >= FILLING * minutes
+    slope, _ = np.polyfit(times[kept], memory[kept], 1)
+    return {
+        "minutes": float(times[-1]),
+        "memory_mb": float(memory[-1]),
+        "slope_mb_per_minute": float(slope),
+        "fewest_descriptors": float(descriptors[kept].min()),
+        "most_descriptors": float(descriptors[kept].max()),
+    }
+
+
+def main(argv: list[str] | None = None) -> None:
+    """Watch, and print a line for each phase."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--minutes", type=float, default=60.0, help="of each phase")
+    parser.add_argument("--kind", default="beam", help="axis.kind, with a serial line")
+    parser.add_argument("--json", type=Path)
+    options = parser.parse_args(argv)
+    found = {}
+    domain = PrivateDomain()
+    with tempfile.TemporaryDirectory() as folder:
+        stay_on_this_machine(os.environ, domain.number, Path(folder))
+        desk = Desk()
+        with Pair(shared=(f"axis.kind:={options.kind}",)) as rig:
+            desk.ready()
+            print("phase         minutes  memory [MB]  slope [MB/min]  descriptors")
+            for phase in PHASES:
+                moves = phase != PHASES[0]
+                if moves:
+                    desk.call("hub/home")
+                    desk.call("hub/enable", data=True)
+                found[phase] = row = watch(desk, rig.driver.pid, options.minutes, moves=moves)
+                print(
+                    f"{phase:12}  {row['minutes']:7.1f}  {row['memory_mb']:11.1f}"
+                    f"  {row['slope_mb_per_minute']:14.3f}"
+                    f"  {row['fewest_descriptors']:.0f} to {row['most_descriptors']:.0f}",
+                    flush=True,
+                )
+        desk.close()
+    domain.release()
+    if options.json is not None:
+        options.json.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
