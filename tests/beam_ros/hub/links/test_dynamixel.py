@@ -18,6 +18,7 @@ import pytest
 from beam_ros.hub.contract import HostTime, HubReport
 from beam_ros.hub.emulated.controller import EmulatedController
 from beam_ros.hub.emulated.dynamixel import EmulatedDynamixel
+from beam_ros.hub.emulated.servo import ServoAxis
 from beam_ros.hub.errors import HubConnectionError
 from beam_ros.hub.faults import fault
 from beam_ros.hub.link_parameters import DynamixelParameters
@@ -128,7 +129,9 @@ class ServoRig(Rig):
         **settings: object,
     ) -> None:
         self.servo = EmulatedDynamixel(
-            parameters, RigidPlant(0.8, 1e-3), DEVICE, metres_per_turn=METRES_PER_TURN, **(servo or {})
+            ServoAxis(parameters, RigidPlant(0.8, 1e-3), DEVICE),
+            metres_per_turn=METRES_PER_TURN,
+            **(servo or {}),
         )
         self.steady = VirtualTime()
         self.bus = VirtualBus(self.steady, self.servo)
@@ -509,7 +512,7 @@ class PortRig(LiveRig):
     def __init__(self, folder: Path, parameters: AxisParameters) -> None:
         def boot(device: SimulatedDevice, _boot_id: int) -> EmulatedDynamixel:
             self.servo = EmulatedDynamixel(
-                parameters, RigidPlant(0.8, 1e-3), device, metres_per_turn=METRES_PER_TURN
+                ServoAxis(parameters, RigidPlant(0.8, 1e-3), device), metres_per_turn=METRES_PER_TURN
             )
             return self.servo
 

@@ -17,6 +17,7 @@ import pytest
 
 from beam_ros.hub.emulated.controller import EmulatedController
 from beam_ros.hub.emulated.odrive import EmulatedOdrive
+from beam_ros.hub.emulated.servo import ServoAxis
 from beam_ros.hub.errors import HubProtocolError
 from beam_ros.hub.link_parameters import OdriveParameters
 from beam_ros.hub.links.motion_plan import MotionPlan
@@ -49,9 +50,7 @@ class OdriveRig(LiveRig):
     ) -> None:
         def boot(device: SimulatedDevice, _boot_id: int) -> EmulatedOdrive:
             self.odrive = EmulatedOdrive(
-                parameters,
-                RigidPlant(0.8, 1e-3),
-                device,
+                ServoAxis(parameters, RigidPlant(0.8, 1e-3), device),
                 metres_per_turn=METRES_PER_TURN,
                 **(firmware or {}),
             )
