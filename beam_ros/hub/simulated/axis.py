@@ -147,7 +147,7 @@ class VirtualAxis(CarriedHub):
 
     def take_completed(self) -> list[tuple[int, Outcome]]:
         """Return the requests that came to an end since the last call."""
-        return self._machine.take_completed()
+        return self._machine.answers.take()
 
     # What the host asks for ---------------------------------------------------------------------------
 
