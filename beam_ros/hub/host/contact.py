@@ -14,7 +14,7 @@ class Contact:
     Parameters
     ----------
     journal : Journal
-        Is told when the other side is lost, once for each kind of loss.
+        Hears when the other side is lost, once for each kind of loss.
     patience_ns : int, optional
         After so long a silence the other side is lost, where a link looks for that here [ns].
 
@@ -39,7 +39,7 @@ class Contact:
         self._heard_ns = 0
 
     def await_answer(self) -> None:
-        """Note that it can be reached and has yet to answer, which is no news."""
+        """Note that it can be reached and has yet to answer; nothing of it goes into the log."""
         self.is_made, self.fault, self.reason = (
             False,
             fault("no_answer"),
@@ -49,7 +49,7 @@ class Contact:
     def make(self, what: str, *, is_lasting: bool = True) -> None:
         """Note that it answers; ``what`` it is goes into the log.
 
-        Where that is known not to last (``is_lasting``), the loss that was told is not told again.
+        Where that is known not to last (``is_lasting``), the same loss is not reported once more.
         """
         self.is_made, self.fault, self.reason = True, NO_FAULT, ""
         if is_lasting:
@@ -59,7 +59,7 @@ class Contact:
         self.hear()
 
     def lose(self, cause: Fault, reason: str, *, is_news: bool = False) -> None:
-        """Note that it does not answer, and what was seen; ``is_news``: also what was told last is told again."""
+        """Note that it does not answer, and what was seen; ``is_news``: it is reported even if it was the last."""
         if cause is not self._told or is_news:
             self._journal.tell("error", reason)
         self.is_made, self._told, self.fault = False, cause, cause

@@ -63,7 +63,7 @@ class DeviceClock:
     ticks : TickWatch
         Whether the ticks keep up with this clock.
     connected_ns : int
-        Steady time of the connection [ns], or of the clock's last jump.
+        Steady time of the greeting that began the connection [ns], or of the clock's last jump.
     """
 
     def __init__(self, max_sd_ns: int, report: Report) -> None:
@@ -84,9 +84,9 @@ class DeviceClock:
         self._interval_ns = URGENT_CLOCK_NS
         self._syncs: list[ClockSync] = []
 
-    def connect(self, now_ns: int, *, is_new_boot: bool) -> None:
-        """Begin a connection; the map goes on where the device has not restarted."""
-        self.connected_ns = now_ns
+    def connect(self, greeted_ns: int, *, is_new_boot: bool) -> None:
+        """Begin a connection with its greeting [ns]; the map goes on where the device has not restarted."""
+        self.connected_ns = greeted_ns
         self.ticks.restart()
         self._sent.clear()
         # In a long pause a narrow counter may have wrapped more often than can be told.

@@ -329,7 +329,8 @@ class HubClient:
         if news in ("lost", "restarted"):
             self._forget_session(self._connection.contact.reason)
         elif news == "new":
-            self._device_clock.connect(received_ns, is_new_boot=is_new_boot)
+            # A process that was put aside reads the answer late, and with it the samples of all that time.
+            self._device_clock.connect(self._connection.greeted_ns, is_new_boot=is_new_boot)
             self._stamping.connect(is_new_boot=is_new_boot)
             self._supervisor.connect()
         elif self._connection.is_in_session:

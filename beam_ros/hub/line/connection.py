@@ -92,6 +92,11 @@ class Connection:
         return self.state in ("limits", "proof", "up")
 
     @property
+    def greeted_ns(self) -> int:
+        """Steady time at which the device was greeted last [ns]: what it says in the session came after that."""
+        return self._greeting.newest_ns
+
+    @property
     def must_be_silent(self) -> bool:
         """Whether the host says nothing, to see whether the device notices."""
         return self._proof.is_silent
@@ -237,7 +242,7 @@ class Connection:
     def _establish(self, now_ns: int) -> None:
         assert self._device is not None
         self.state, self._up_ns = "up", now_ns
-        # Of a rival is told once, however often each of the two comes up.
+        # A rival is reported once, however often each of the two comes up.
         self.contact.make(
             f"{self._device.name} on {self._link.serial_port}", is_lasting=self._greeting.pause_ns == 0
         )

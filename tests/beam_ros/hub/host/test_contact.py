@@ -1,4 +1,4 @@
-"""Whether the other side answers: its silence, as far as this process could hear, and what is told of its loss."""
+"""Whether the other side answers: its silence, as far as this process could hear, and the report of its loss."""
 
 from __future__ import annotations
 

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from beam_ros.hub.emulated.unruly_line import UnrulyLine
+from beam_ros.hub.faults import fault
 from beam_ros.hub.line import protocol
 from beam_ros.hub.line.framing import FrameDecoder
 from beam_ros.hub.parameters import AxisParameters, LinkParameters
@@ -647,3 +648,22 @@ def test_a_sequence_of_positions_may_follow_at_once_after_homing(wait_ms):
         rig.hub.load(chunk, rig.now)
     (report, *_) = reversed(rig.until(lambda r: any(own.state in ("done", "refused") for own in r.sequences)))
     assert report.sequences[-1].state == "done", report.sequences[-1].reason
+
+
+@pytest.mark.parametrize("frozen_ms", [500, 900, 1500])
+def test_a_host_that_is_frozen_while_it_waits_for_a_connection_takes_no_sample_for_strange(frozen_ms):
+    rig = LoopbackRig(PARAMETERS)
+    rig.connect()
+    rig.client.line_lost(fault("port_lost"), "the cable was pulled")
+    rig.run(0.5)
+    rig.client.line_opened(rig.steady_ns)
+    # The greeting leaves, and what answers it waits until the process goes on.
+    answers = rig.firmware.exchange(rig.client.transmit(rig.steady_ns), rig.device_ns(rig.steady_ns))
+    for _ in range(frozen_ms):
+        rig.steady_ns += rig.STEP_NS
+        answers += rig.firmware.exchange(b"", rig.device_ns(rig.steady_ns))
+    rig.client.receive(answers, rig.steady_ns)
+    rig.until(lambda r: r.status.state == "identified", 10.0)
+    status = rig.run(1.0)[-1].status
+    assert status.fault.name == "none", status.reason
+    assert status.counters["strange_ticks"] == 0
