@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from beam_ros.arrays import FloatArray
 from beam_ros.hub.conformance.check import require
-from beam_ros.hub.conformance.dialogue import ANSWER_S, Dialogue
+from beam_ros.hub.conformance.dialogue import ANSWER_S, Dialogue, only
 from beam_ros.hub.line import protocol
 
 AHEAD_S = 0.25
@@ -42,7 +42,6 @@ def arm(
 ) -> protocol.ArmReply:
     """Announce a sequence, and return the answer; ``is_on_tick``: for the tick's own time, not one before it."""
     identity = host.identity
-    assert identity is not None
     number = host.next_number() if number is None else number
     if start_tick is None:
         start_tick = start_in(host, AHEAD_S)
@@ -50,9 +49,7 @@ def arm(
     early_ns = 0 if is_on_tick else identity.period_ns // 3
     start_ns = max(start_tick * identity.period_ns - early_ns, 0)
     host.say(protocol.Arm(number, start_ns, n_samples))
-    return host.until(
-        lambda m: m if isinstance(m, protocol.ArmReply) and m.number == number else None, "ArmReply"
-    )
+    return host.until(only(protocol.ArmReply, number=number), "ArmReply")
 
 
 def start_in(host: Dialogue, seconds: float) -> int:

@@ -6,7 +6,7 @@ import numpy as np
 
 from beam_ros.arrays import FloatArray
 from beam_ros.hub.conformance import motions
-from beam_ros.hub.conformance.check import Check, require
+from beam_ros.hub.conformance.check import check, require
 from beam_ros.hub.conformance.dialogue import Dialogue
 from beam_ros.hub.conformance.kinematics import require_followed, require_ramp
 from beam_ros.hub.conformance.motion_checks import stopped_by
@@ -21,7 +21,6 @@ def _ticks(host: Dialogue, seconds: float) -> int:
 def _require_applied(host: Dialogue, values: FloatArray, start_tick: int) -> None:
     """Require that the samples are what was applied, bit for bit, from the tick of the start on."""
     identity = host.identity
-    assert identity is not None
     n = len(values)
     applied = host.ticks(start_tick, n).applied
     # In position mode a tick begins where the hub is, and leads to the sample after its own.
@@ -36,6 +35,7 @@ def _require_applied(host: Dialogue, values: FloatArray, start_tick: int) -> Non
         )
 
 
+@check("applies a sequence bit for bit, from its tick on", moves=True)
 def _sequence(host: Dialogue) -> None:
     identity = host.enable()
     values = motions.bump(identity, _ticks(host, 0.5), host.position())
@@ -50,6 +50,7 @@ def _sequence(host: Dialogue) -> None:
     host.must("disable")
 
 
+@check("sends a Status at a change, without waiting for a batch", moves=True)
 def _changes(host: Dialogue) -> None:
     """A sequence begins in the middle of a batch: its Status does not wait for the batch."""
     identity = host.enable()
@@ -75,6 +76,7 @@ def _changes(host: Dialogue) -> None:
     host.must("disable")
 
 
+@check("drops what overlaps, and frames after a gap", moves=True)
 def _overlap_and_gap(host: Dialogue) -> None:
     identity = host.enable()
     values = motions.bump(identity, 80, host.position())
@@ -97,6 +99,7 @@ def _overlap_and_gap(host: Dialogue) -> None:
     host.must("disable")
 
 
+@check("takes no more samples than it has room for", moves=True)
 def _room(host: Dialogue) -> None:
     """A host that counts wrongly must not break the buffer."""
     identity = host.enable()
@@ -115,6 +118,7 @@ def _room(host: Dialogue) -> None:
     host.must("stop")
 
 
+@check("stops by its ramp when a sample is missing", moves=True)
 def _underrun(host: Dialogue) -> None:
     identity = host.enable()
     values = motions.cruise(identity, 1.0, host.position())
@@ -136,6 +140,10 @@ def _underrun(host: Dialogue) -> None:
     require_followed(host, start_tick, status.tick)
 
 
+@check(
+    "refuses sequences while disabled, too late, too short, while the hub moves, or beside another one",
+    moves=True,
+)
 def _refused_sequences(host: Dialogue) -> None:
     identity = host.go_home(within=0.02)
     require(not arm(host, 100).is_accepted, "a sequence was accepted by a disabled axis")
@@ -163,18 +171,3 @@ def _refused_sequences(host: Dialogue) -> None:
     )
     host.must("disable")
     require(host.fresh_status().sequence_state == "aborted", f"it is {host.newest_status().sequence_state}")
-
-
-CHECKS = (
-    Check("sequence", "applies a sequence bit for bit, from its tick on", _sequence, moves=True),
-    Check("changes", "sends a Status at a change, without waiting for a batch", _changes, moves=True),
-    Check("overlap_and_gap", "drops what overlaps, and frames after a gap", _overlap_and_gap, moves=True),
-    Check("room", "takes no more samples than it has room for", _room, moves=True),
-    Check("underrun", "stops by its ramp when a sample is missing", _underrun, moves=True),
-    Check(
-        "refused_sequences",
-        "refuses sequences while disabled, too late, too short, while the hub moves, or beside another one",
-        _refused_sequences,
-        moves=True,
-    ),
-)
