@@ -30,7 +30,6 @@ from beam_ros.hub.emulated.emulator import EmulatedFirmware
 from beam_ros.hub.emulated.injected_faults import KINDS, InjectedFault, disturb
 from beam_ros.hub.emulated.unruly_line import UnrulyLine
 from beam_ros.hub.faults import NO_FAULT, fault
-from beam_ros.hub.firmware.paced_firmware import PacedFirmware
 from beam_ros.hub.line import protocol
 from beam_ros.hub.line.client import HubClient
 from beam_ros.hub.parameters import (
@@ -41,6 +40,7 @@ from beam_ros.hub.parameters import (
     SimulatedDevice,
 )
 from beam_ros.hub.simulated.plant import RigidPlant
+from benchmarks.paced_firmware import PacedFirmware
 
 STEP_NS = 1_000_000
 UNIX_NS = 1_700_000_000_000_000_000

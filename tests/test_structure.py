@@ -116,7 +116,7 @@ TESTED_IN = (
         "sequence_checks session_checks state_checks",
         "hub/conformance/test_suite",
     ),
-    ("beam_ros/hub/firmware", "built_firmware paced_firmware", "hub/firmware/test_stm32f405"),
+    ("beam_ros/hub/firmware", "built_firmware", "hub/firmware/test_stm32f405"),
     ("beam_ros/hub", "link_parameters", "hub/links/test_odrive"),
     ("beam_ros/hub/line", "greeting watchdog_proof", "hub/line/test_connection"),
     ("beam_ros/hub", "errors", "hub/line/test_driver"),

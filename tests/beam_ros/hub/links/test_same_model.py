@@ -27,7 +27,6 @@ from beam_ros.hub.emulated.emulator import EmulatedFirmware
 from beam_ros.hub.emulated.odrive import EmulatedOdrive
 from beam_ros.hub.emulated.servo import ServoAxis, servo_parameters
 from beam_ros.hub.emulated.trajectory_controller import EmulatedTrajectoryController, Waypoints
-from beam_ros.hub.firmware.paced_firmware import PacedFirmware
 from beam_ros.hub.links import dynamixel_protocol as table
 from beam_ros.hub.links.motion_plan import MotionPlan
 from beam_ros.hub.links.odrive_protocol import decode_line, encode_line, numbers
@@ -37,6 +36,7 @@ from beam_ros.hub.simulated.beam_points import BeamPoints
 from beam_ros.hub.simulated.motion import HubMotion
 from beam_ros.hub.simulated.plant import Plant, beam_on_axis
 from beam_ros.rig.rig import Rig
+from benchmarks.paced_firmware import PacedFirmware
 from tests.beam_ros.hub.hub_scenes import STEADY_START, UNIX_START, LoopbackRig, chunks_of
 from tests.firmware.builds import built
 
