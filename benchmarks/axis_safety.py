@@ -74,6 +74,16 @@ class Lie:
     within: float
     amounts: tuple[tuple[str, float, float], ...] = ()
 
+    def drawn(self, rng: random.Random, at: float = 0.0) -> InjectedFault:
+        """Return one of its kind, that begins at a time [s since power-on]."""
+        amounts = {
+            name: math.exp(rng.uniform(math.log(least), math.log(most)))
+            if least > 0.0
+            else rng.uniform(least, most)
+            for name, least, most in self.amounts
+        }
+        return InjectedFault(self.kind, at, amounts=amounts)
+
 
 LED: tuple[CommandMode, ...] = ("acceleration", "velocity", "position")
 """Modes in which the command says where the hub must be."""
@@ -372,17 +382,6 @@ class LyingStream(Stream):
         """What the host knows of the axis."""
         return self.report.status
 
-    def _injected(self) -> InjectedFault:
-        rng = self.rng
-
-        def drawn(least: float, most: float) -> float:
-            if least > 0.0:
-                return math.exp(rng.uniform(math.log(least), math.log(most)))
-            return rng.uniform(least, most)
-
-        amounts = {name: drawn(least, most) for name, least, most in self.lie.amounts}
-        return InjectedFault(self.lie.kind, 0.0, amounts=amounts)
-
     def _lie(self, injected: InjectedFault, *, begins: bool) -> None:
         if KINDS[injected.kind].place == "axis":
             disturb(self.firmware.axis, injected, begins=begins)
@@ -458,7 +457,7 @@ class LyingStream(Stream):
             self._begin_sequence()
         else:
             self._sway(self.rng.uniform(0.5, 2.0))
-        injected, begun_ns = self._injected(), self.now_ns
+        injected, begun_ns = lie.drawn(self.rng), self.now_ns
         self._lie(injected, begins=True)
         if lie.kind == "ignored_stop":
             self.client.request(self.rng.choice(("stop", "disable")))

@@ -242,7 +242,8 @@ class HubClient:
             ):
                 self._connection.hear(received_ns)
                 handler(self, message, received_ns)
-                if self._connection.is_in_session:
+                # While the watchdog is proved, a device holds its samples back from a host that is silent.
+                if self._connection.is_up:
                     self._supervisor.hear(_WATCHED.get(type(message), "other"))
 
     def transmit(self, now_ns: int) -> bytes:

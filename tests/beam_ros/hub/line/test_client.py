@@ -634,6 +634,15 @@ def test_samples_that_the_device_held_back_before_the_connection_was_up_are_not_
     assert counters["lost_ticks"] == counters["strange_ticks"] == 0
 
 
+@pytest.mark.parametrize("watchdog_s", [1.5, 2.0, 4.0])
+def test_a_device_that_held_its_samples_back_from_a_host_that_proves_its_watchdog_has_no_fault(watchdog_s):
+    rig = LoopbackRig(dataclasses.replace(PARAMETERS, watchdog_s=watchdog_s))
+    rig.until(lambda r: r.status.state != "disconnected", 10.0)
+    rig.run(2.0)
+    assert rig.reports[-1].status.state == "identified"
+    assert "telemetry_stopped" not in {r.status.fault.name for r in rig.reports}
+
+
 @pytest.mark.parametrize("wait_ms", [0, 5, 10, 15])
 def test_a_sequence_of_positions_may_follow_at_once_after_homing(wait_ms):
     """What was applied on the way home counts from elsewhere."""
