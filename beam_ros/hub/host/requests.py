@@ -87,6 +87,11 @@ class Requests:
         """Whether the stop that closing asked for has ended."""
         return self.closing_id & 0xFFFF not in self._pending
 
+    @property
+    def are_pending(self) -> bool:
+        """Whether the device has still to answer one."""
+        return bool(self._pending)
+
     def begin(self, kind: RequestKind) -> int:
         """Take a request to be sent; return its id."""
         request_id = self.answers.begin()

@@ -34,7 +34,9 @@ AGREEING = 3
 DISAGREEING = 20
 """So many strange answers, of which no three agree, come from no clock."""
 AHEAD_NS = 20_000_000
-"""Ticks cannot lie further ahead than this: what map and resolution leave open [ns]."""
+"""Ticks cannot lie further ahead of the map than this, which is for resolution [ns], and ..."""
+SURE = 2.0
+"""... than so many of its standard deviations: a constant within half the round trip is at most 1.73 of its own."""
 CONNECTION_NS = 800_000_000
 """The first ticks of a connection are not older than this, and than the connection, when they come [ns] ..."""
 LIVE_NS = 100_000_000
@@ -103,11 +105,13 @@ class DeviceClock:
         """Return what the device's own counter reads [ns] at a steady time [ns]."""
         return self._counter.shown_ns(max(0, self.mapping.device_ns(steady_ns)))
 
+    def is_new(self, now_ns: int) -> bool:
+        """Whether the connection is so young that the clock is asked as often as it can be."""
+        return now_ns - self.connected_ns < FAST_CLOCK_PHASE_NS
+
     def is_query_due(self, now_ns: int) -> bool:
         """Whether the clock should be asked now."""
-        interval_ns = self._interval_ns
-        if now_ns - self.connected_ns < FAST_CLOCK_PHASE_NS:
-            interval_ns = FAST_CLOCK_NS
+        interval_ns = FAST_CLOCK_NS if self.is_new(now_ns) else self._interval_ns
         return now_ns - self._last_query_ns >= interval_ns
 
     def _set_interval(self, now_ns: int) -> None:
@@ -359,7 +363,8 @@ class SampleStamping:
         mapping = self._device_clock.mapping
         if not mapping.is_usable:
             return None
-        newest_ns = mapping.device_ns(received_ns) + AHEAD_NS - length_ns
+        device_ns = mapping.device_ns(received_ns)
+        newest_ns = device_ns + AHEAD_NS + round(SURE * mapping.stamp_sd_ns(device_ns)) - length_ns
         if self._expected_ns is None:
             return newest_ns - CONNECTION_NS - (received_ns - self._device_clock.connected_ns), newest_ns
         return newest_ns - LATE_NS - (received_ns - self._fresh_ns), newest_ns

@@ -194,6 +194,11 @@ class HubClient:
         """Whether samples or answers wait for the next poll."""
         return self._stamping.has_batches or self._requests.answers.are_there
 
+    def is_calm(self, now_ns: int) -> bool:
+        """Whether nothing is under way that a turn every few milliseconds would be worth."""
+        is_busy = self._requests.are_pending or self._gate.sequence_id is not None
+        return self._connection.is_up and not is_busy and not self._device_clock.is_new(now_ns)
+
     def begin_close(self) -> None:
         """Ask the device to stop; from now on polls are not needed for the line to live."""
         self._pulse.is_closing = True

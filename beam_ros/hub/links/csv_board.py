@@ -12,7 +12,7 @@ import threading
 from beam_ros.hub.contract import HostTime, HubCapabilities, HubReport, Outcome, RequestKind, SequenceChunk
 from beam_ros.hub.errors import HubConnectionError
 from beam_ros.hub.host.motion_watch import Measuring
-from beam_ros.hub.line.transport import SerialTransport
+from beam_ros.hub.line.transport import RECONNECT_S, SerialTransport
 from beam_ros.hub.link_parameters import CsvColumns
 from beam_ros.hub.links.csv_measurements import CsvMeasurements
 from beam_ros.hub.links.host_axis import HostAxis
@@ -20,7 +20,6 @@ from beam_ros.hub.links.host_paced_hub import HostPacedHub
 from beam_ros.hub.parameters import AxisParameters, LinkParameters
 
 READ_S = 0.05
-RECONNECT_S = 0.3
 FLOOD_BYTES = 2_000_000
 """More bytes in a second than a board prints."""
 SILENCE_NS = 1_000_000_000

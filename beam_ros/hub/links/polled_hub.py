@@ -21,7 +21,7 @@ from beam_ros.hub.contract import HubCapabilities, SampleBatch
 from beam_ros.hub.errors import HubConnectionError, HubProtocolError
 from beam_ros.hub.faults import fault
 from beam_ros.hub.gate.beam_guard import BeamGuard
-from beam_ros.hub.line.transport import SerialTransport
+from beam_ros.hub.line.transport import RECONNECT_S, SerialTransport
 from beam_ros.hub.link_parameters import DriveParameters
 from beam_ros.hub.links.host_axis import AT_REST, HostAxis
 from beam_ros.hub.links.host_paced_hub import HostPacedHub
@@ -30,7 +30,6 @@ from beam_ros.hub.parameters import AxisParameters, LinkParameters
 
 MISSES = 5
 """So many answers in a row that did not come are a lost controller."""
-RECONNECT_S = 0.3
 LATE_NS = 20_000_000
 """A write that is later than this is looked at before anything else is written [ns]."""
 LOOK_EVERY = 10

@@ -6,6 +6,7 @@ exact instants, however busy the computer is.
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import random
 import signal
@@ -205,7 +206,11 @@ def test_a_device_that_lies_is_found_out_by_name_and_left_by_the_way_that_is_sai
         scene.is_publishing = False
         scene.graph.wait(lambda: scene.state == "homed", "the end of the set-points", 10.0)
         scene.ask("hub/enable")
-    scene.controller.bring_about([lie.drawn(rng, scene.controller.elapsed)])
+    injected = lie.drawn(rng, scene.controller.elapsed)
+    if lie.kind == "missed_ticks":
+        # A slower loss hides for a minute behind the round trips of a busy computer.
+        injected = dataclasses.replace(injected, amounts={"one_in": rng.uniform(50.0, 200.0)})
+    scene.controller.bring_about([injected])
     if lie.kind == "ignored_stop":
         scene.graph.spin(0.2)
         answer = scene.request("hub/stop")
@@ -218,9 +223,15 @@ def test_a_device_that_lies_is_found_out_by_name_and_left_by_the_way_that_is_sai
     scene.graph.wait(lambda: scene.controller.axis.velocity == 0.0, "the hub at rest", 10.0)
     scene.stays_at_rest()
     scene.controller.restart()  # a new firmware, which does not lie; for a broken clock it is the remedy
-    scene.graph.wait(lambda: scene.state in ("fault", "identified"), "the driver back", 20.0)
-    scene.graph.spin(1.0)
-    for service in ("hub/clear_fault", "hub/home", "hub/enable"):
+    for _ in range(30):
+        # The driver comes back, proves the watchdog, and sees that the cause is gone.
+        answer = scene.request("hub/clear_fault")
+        scene.graph.wait(answer.done, "an answer of hub/clear_fault", 15.0)
+        if answer.result().success:
+            break
+        scene.graph.spin(1.0)
+    scene.graph.wait(lambda: scene.state == "identified", "the driver back", 20.0)
+    for service in ("hub/home", "hub/enable"):
         scene.ask(service)
 
 

@@ -676,3 +676,22 @@ def test_a_host_that_is_frozen_while_it_waits_for_a_connection_takes_no_sample_f
     status = rig.run(1.0)[-1].status
     assert status.fault.name == "none", status.reason
     assert status.counters["strange_ticks"] == 0
+
+
+@pytest.mark.parametrize("late_ms", [100, 300, 600])
+def test_answers_that_were_late_while_a_connection_came_up_make_no_later_sample_strange(late_ms):
+    """A computer with too much to do: the map of the clock can be wrong by half of what the answers took."""
+    rig = LoopbackRig(PARAMETERS)
+    late: list[tuple[int, bytes]] = []
+
+    def wait(data: bytes) -> bytes:
+        late.append((rig.steady_ns + late_ms * 1_000_000, data))
+        return b"".join(late.pop(0)[1] for _ in range(len([at for at, _ in late if at <= rig.steady_ns])))
+
+    rig.to_host = wait
+    rig.until(lambda r: "clock_sd_ns" in r.status.counters, 10.0)
+    rig.to_host = lambda data: b"".join(late.pop(0)[1] for _ in range(len(late))) + data
+    rig.until(lambda r: r.status.state == "identified", 10.0)
+    status = rig.run(2.0)[-1].status
+    assert status.fault.name == "none", status.reason
+    assert status.counters["strange_ticks"] == 0
