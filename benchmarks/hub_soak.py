@@ -5,7 +5,8 @@
 Real processes on a domain of their own: the emulated controller on a pseudo-terminal, its driver, and this process,
 which listens and commands. First the axis rests, connected and not enabled, which nothing ends and nothing clears;
 then it runs one sequence after another. The slope of the memory is that of the straight line through what the kernel
-says of the driver every few seconds, without the first fifth of the time, in which buffers fill.
+says every few seconds, without the first fifth of the time, in which buffers fill; beside the driver stands a bare
+rclpy publisher of as many messages to as many readers.
 """
 
 from __future__ import annotations
@@ -35,9 +36,9 @@ def held(pid: int) -> tuple[float, int]:
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6, len(os.listdir(f"/proc/{pid}/fd"))
 
 
-def watch(desk: Desk, pid: int, minutes: float, *, moves: bool) -> dict[str, float]:
-    """Return what became of memory and descriptors in the minutes that come."""
-    samples: list[tuple[float, float, int]] = []
+def watch(desk: Desk, pids: dict[str, int], minutes: float, *, moves: bool) -> dict[str, dict[str, float]]:
+    """Return what became of memory and descriptors of some processes in the minutes that come."""
+    samples: dict[str, list[tuple[float, float, int]]] = {name: [] for name in pids}
     n_ticks = n_moving = 0
     begun = time.monotonic()
     rested = begun
@@ -55,22 +56,26 @@ def watch(desk: Desk, pid: int, minutes: float, *, moves: bool) -> dict[str, flo
             n_moving += int(np.count_nonzero(batch.accelerations))
         desk.applied.clear()
         desk.lateness_ns.clear()
-        samples.append(((time.monotonic() - begun) / 60.0, *held(pid)))
-    times, memory, descriptors = np.array(samples).T
-    kept = times >= FILLING * minutes
-    slope, _ = np.polyfit(times[kept], memory[kept], 1)
-    return {
-        "minutes": float(times[-1]),
-        "moving": n_moving / n_ticks,
-        "memory_mb": float(memory[-1]),
-        "slope_mb_per_minute": float(slope),
-        "fewest_descriptors": float(descriptors[kept].min()),
-        "most_descriptors": float(descriptors[kept].max()),
-    }
+        for name, pid in pids.items():
+            samples[name].append(((time.monotonic() - begun) / 60.0, *held(pid)))
+    found = {}
+    for name, rows in samples.items():
+        times, memory, descriptors = np.array(rows).T
+        kept = times >= FILLING * minutes
+        slope, _ = np.polyfit(times[kept], memory[kept], 1)
+        found[name] = {
+            "minutes": float(times[-1]),
+            "moving": n_moving / n_ticks,
+            "memory_mb": float(memory[-1]),
+            "slope_mb_per_minute": float(slope),
+            "fewest_descriptors": float(descriptors[kept].min()),
+            "most_descriptors": float(descriptors[kept].max()),
+        }
+    return found
 
 
 def main(argv: list[str] | None = None) -> None:
-    """Watch, and print a line for each phase."""
+    """Watch, and print a line for each phase and process."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--minutes", type=float, default=60.0, help="of each phase")
     parser.add_argument("--kind", default="beam", help="axis.kind, with a serial line")
@@ -82,16 +87,18 @@ def main(argv: list[str] | None = None) -> None:
         stay_on_this_machine(os.environ, domain.number, Path(folder))
         desk = Desk()
         with Pair(shared=(f"axis.kind:={options.kind}",)) as rig:
+            pids = {"driver": rig.driver.pid, "bare": rig.start_own("--bare", "objects").pid}
             desk.ready()
-            print("phase         minutes  in motion  memory [MB]  slope [MB/min]  descriptors")
+            print("phase         process  minutes  in motion  memory [MB]  slope [MB/min]  descriptors")
             for phase in PHASES:
-                found[phase] = row = watch(desk, rig.driver.pid, options.minutes, moves=phase != PHASES[0])
-                print(
-                    f"{phase:12}  {row['minutes']:7.1f}  {row['moving']:9.0%}  {row['memory_mb']:11.1f}"
-                    f"  {row['slope_mb_per_minute']:14.3f}"
-                    f"  {row['fewest_descriptors']:.0f} to {row['most_descriptors']:.0f}",
-                    flush=True,
-                )
+                found[phase] = watch(desk, pids, options.minutes, moves=phase != PHASES[0])
+                for name, row in found[phase].items():
+                    print(
+                        f"{phase:12}  {name:7}  {row['minutes']:7.1f}  {row['moving']:9.0%}"
+                        f"  {row['memory_mb']:11.1f}  {row['slope_mb_per_minute']:14.3f}"
+                        f"  {row['fewest_descriptors']:.0f} to {row['most_descriptors']:.0f}",
+                        flush=True,
+                    )
         desk.close()
     domain.release()
     if options.json is not None:

@@ -21,7 +21,7 @@ from beam_ros.hub.conformance.kinematics import (
     require_ramp,
 )
 from beam_ros.hub.conformance.motion_checks import EDGE, stopped_by
-from beam_ros.hub.conformance.playing import AHEAD_S, Played, arm, play, start_in
+from beam_ros.hub.conformance.playing import Played, begin, play, send
 from beam_ros.hub.host.motion_watch import NOISE_COUNTS
 from beam_ros.hub.line import protocol
 from beam_ros.hub.ticks import TickBatch
@@ -146,13 +146,9 @@ def _load(host: Dialogue, samples: _Samples, limits: protocol.DeviceLimits) -> t
     host.obey(limits)
     host.must("enable")
     values = samples(host.position())
-    start_tick = start_in(host, AHEAD_S)
-    number = host.next_number()
-    require(arm(host, len(values), start_tick, number).is_accepted, "a sequence was refused")
-    there = min(len(values), identity.buffer_samples)
-    for first in range(0, there, protocol.MAX_SAMPLES):
-        host.say(protocol.Samples(number, first, values[first : min(first + protocol.MAX_SAMPLES, there)]))
-    return start_tick, len(values)
+    played = begin(host, len(values))
+    send(host, played.number, values[: identity.buffer_samples])
+    return played.start_tick, len(values)
 
 
 def breach(

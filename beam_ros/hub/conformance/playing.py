@@ -52,6 +52,23 @@ def arm(
     return host.until(only(protocol.ArmReply, number=number), "ArmReply")
 
 
+def begin(
+    host: Dialogue, n_samples: int, start_tick: int | None = None, *, is_on_tick: bool = False
+) -> Played:
+    """Announce a sequence that must be accepted; by default for a quarter of a second from now."""
+    start_tick = start_in(host, AHEAD_S) if start_tick is None else start_tick
+    number = host.next_number()
+    answer = arm(host, n_samples, start_tick, number, is_on_tick=is_on_tick)
+    require(answer.is_accepted, f"a sequence was refused: {answer.text!r}")
+    return Played(number, start_tick)
+
+
+def send(host: Dialogue, number: int, values: FloatArray) -> None:
+    """Send the first samples of a sequence in one go, whatever the device has room for."""
+    for first in range(0, len(values), protocol.MAX_SAMPLES):
+        host.say(protocol.Samples(number, first, values[first : first + protocol.MAX_SAMPLES]))
+
+
 def start_in(host: Dialogue, seconds: float) -> int:
     """Return the tick that begins in some seconds."""
     return host.fresh_status().tick + round(seconds / host.period_s())
@@ -59,18 +76,9 @@ def start_in(host: Dialogue, seconds: float) -> int:
 
 def play(host: Dialogue, values: FloatArray, *, until_tick: int | None = None) -> Played:
     """Send a sequence by the device's credit, and wait until it is done, or has come to a tick of its own."""
-    start_tick = start_in(host, AHEAD_S)
-    number = host.next_number()
-    answer = arm(host, len(values), start_tick, number)
-    require(answer.is_accepted, f"a sequence was refused: {answer.text!r}")
-    stream(
-        host,
-        number,
-        values,
-        start_tick if until_tick is None else start_tick + until_tick,
-        until_tick is None,
-    )
-    return Played(number, start_tick)
+    played = begin(host, len(values))
+    stream(host, played.number, values, played.start_tick + (until_tick or 0), until_tick is None)
+    return played
 
 
 def stream(host: Dialogue, number: int, values: FloatArray, end_tick: int, to_end: bool) -> None:

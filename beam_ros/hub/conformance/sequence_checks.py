@@ -10,7 +10,7 @@ from beam_ros.hub.conformance.check import check, require
 from beam_ros.hub.conformance.dialogue import Dialogue
 from beam_ros.hub.conformance.kinematics import require_followed, require_ramp
 from beam_ros.hub.conformance.motion_checks import stopped_by
-from beam_ros.hub.conformance.playing import AHEAD_S, arm, play, start_in
+from beam_ros.hub.conformance.playing import AHEAD_S, arm, begin, play, send, start_in
 from beam_ros.hub.line import protocol
 
 
@@ -60,9 +60,7 @@ def _changes(host: Dialogue) -> None:
     batch = next(m.ticks for m in host.since(mark) if isinstance(m, protocol.Telemetry))
     soon = start_in(host, AHEAD_S) - batch.first_tick
     start_tick = batch.first_tick + soon // len(batch) * len(batch) + len(batch) // 2
-    number = host.next_number()
-    require(arm(host, len(values), start_tick, number).is_accepted, "a sequence was refused")
-    host.say(protocol.Samples(number, 0, values))
+    host.say(protocol.Samples(begin(host, len(values), start_tick).number, 0, values))
     mark = host.mark()
     host.ticks(start_tick, len(batch))
     for message in host.since(mark):
@@ -80,10 +78,8 @@ def _changes(host: Dialogue) -> None:
 def _overlap_and_gap(host: Dialogue) -> None:
     identity = host.enable()
     values = motions.bump(identity, 80, host.position())
-    start_tick = start_in(host, AHEAD_S)
-    number = host.next_number()
-    answer = arm(host, len(values), start_tick, number, is_on_tick=True)
-    require(answer.is_accepted, f"a sequence was refused: {answer.text!r}")
+    played = begin(host, len(values), is_on_tick=True)
+    number, start_tick = played.number, played.start_tick
     other = np.zeros(30)
     host.say(protocol.Samples(number, 0, values[:30]))
     host.say(protocol.Samples(number, 40, other))
@@ -105,11 +101,7 @@ def _room(host: Dialogue) -> None:
     identity = host.enable()
     n = min(identity.buffer_samples, 0xFFFF) + 150
     values = motions.bump(identity, n, host.position())
-    start_tick = start_in(host, 2 * AHEAD_S)
-    number = host.next_number()
-    require(arm(host, n, start_tick, number).is_accepted, "a sequence was refused")
-    for first in range(0, n, protocol.MAX_SAMPLES):
-        host.say(protocol.Samples(number, first, values[first : first + protocol.MAX_SAMPLES]))
+    send(host, begin(host, n, start_in(host, 2 * AHEAD_S)).number, values)
     status = host.fresh_status()
     require(
         status.received + status.free <= identity.buffer_samples and status.received <= n,
@@ -122,12 +114,10 @@ def _room(host: Dialogue) -> None:
 def _underrun(host: Dialogue) -> None:
     identity = host.enable()
     values = motions.cruise(identity, 1.0, host.position())
-    start_tick = start_in(host, AHEAD_S)
-    number = host.next_number()
-    require(arm(host, len(values), start_tick, number).is_accepted, "a sequence was refused")
+    played = begin(host, len(values))
+    start_tick = played.start_tick
     there = min(round(2 * motions.RISE_S / host.period_s()), identity.buffer_samples)
-    for first in range(0, there, protocol.MAX_SAMPLES):
-        host.say(protocol.Samples(number, first, values[first : min(first + protocol.MAX_SAMPLES, there)]))
+    send(host, played.number, values[:there])
     status = host.wait_for_rest()
     require(
         status.sequence_state == "underrun", f"the sequence is {status.sequence_state}: expected underrun"

@@ -76,9 +76,8 @@ class DeviceClock:
         self._report = report
         self._counter = DeviceCounter()
         self._n_agreeing = 0
-        self._other = ClockMapping(0)
-        """What the strange answers agree on."""
-        self._n_other = 0
+        self._other: ClockMapping | None = None
+        """What strange answers agree on, since the last one that was believed."""
         self._n_strange = self._n_strange_ever = 0
         self._sent: dict[int, int] = {}
         self._number = 0
@@ -92,7 +91,8 @@ class DeviceClock:
         self.ticks.restart()
         self._sent.clear()
         # In a long pause a narrow counter may have wrapped more often than can be told.
-        self._n_agreeing = self._n_other = self._n_strange = 0
+        self._n_agreeing = self._n_strange = 0
+        self._other = None
         if is_new_boot:
             self.mapping = ClockMapping(self.mapping.epoch + 1)
             self._counter = DeviceCounter()
@@ -116,7 +116,7 @@ class DeviceClock:
 
     def _set_interval(self, now_ns: int) -> None:
         """Ask more often while the map is not good enough; only questions and answers change that."""
-        is_vague = self._n_other or self.sd_ns(now_ns) > self.max_sd_ns
+        is_vague = self._other is not None or self.sd_ns(now_ns) > self.max_sd_ns
         self._interval_ns = URGENT_CLOCK_NS if is_vague else SLOW_CLOCK_NS
 
     def query(self, now_ns: int) -> int | None:
@@ -187,25 +187,23 @@ class DeviceClock:
             device_ns = self._counter.read(shown_ns, *possible)
         if device_ns is not None:
             self._n_agreeing += 1
-            self._n_other = self._n_strange = 0
+            self._n_strange, self._other = 0, None
             return device_ns
         assert possible is not None
         self._n_strange += 1
         self._n_strange_ever += 1
-        expected = self._other.possible_ns(sent_ns, returned_ns)
-        if not self._n_other or expected is None or not expected[0] <= shown_ns <= expected[1]:
+        expected = None if self._other is None else self._other.possible_ns(sent_ns, returned_ns)
+        if self._other is None or expected is None or not expected[0] <= shown_ns <= expected[1]:
             self._other = ClockMapping(self.mapping.epoch + 1)
-            self._n_other = 0
         self._other.add(sent_ns, returned_ns, shown_ns)
-        self._n_other += 1
-        if self._n_other >= AGREEING:
-            self._jump(shown_ns, possible, returned_ns)
+        if self._other.n_exchanges >= AGREEING:
+            self._jump(self._other, shown_ns, possible, returned_ns)
         elif self._n_strange >= DISAGREEING:
             self._n_strange = 0
             self._report("clock_jumped", f"{DISAGREEING} answers of the clock do not fit together")
         return None
 
-    def _jump(self, shown_ns: int, possible: tuple[int, int], now_ns: int) -> None:
+    def _jump(self, other: ClockMapping, shown_ns: int, possible: tuple[int, int], now_ns: int) -> None:
         """Begin again with what the last answers agree on."""
         if self._n_agreeing >= AGREEING:
             name = "clock_backwards" if self._counter.extended_ns(shown_ns) < possible[0] else "clock_jumped"
@@ -215,11 +213,10 @@ class DeviceClock:
                 f"the clock shows {shown_ns * 1e-9:.6f} s where {wanted_ns * 1e-9:.6f} s +- "
                 f"{(possible[1] - possible[0]) / 2e6:.1f} ms was expected",
             )
-        self.mapping = self._other
+        self.mapping, self._other = other, None
         self.ticks.restart()
         self._counter = DeviceCounter()
-        self._n_agreeing = self._n_other
-        self._n_other = self._n_strange = 0
+        self._n_agreeing, self._n_strange = other.n_exchanges, 0
         self.connected_ns = now_ns
 
 

@@ -120,16 +120,11 @@ class HubClient:
     @property
     def capabilities(self) -> HubCapabilities:
         """What the protocol promises, and what goes without the proof of the watchdog."""
-        unproved = (
-            ()
-            if self._link.prove_watchdog
-            else ("the controller's watchdog is believed, not proved: axis.prove_watchdog is off",)
-        )
         return HubCapabilities(
             "beam",
             (self._parameters.command_mode,),
             rate=1.0 / self._parameters.period,
-            shortcomings=unproved,
+            shortcomings=self._link.shortcomings,
         )
 
     def request(self, kind: RequestKind) -> int:

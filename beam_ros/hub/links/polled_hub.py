@@ -51,7 +51,6 @@ RATE_NS = 1_000_000_000
 SLOW_WINDOWS = 3
 """So many such times in a row below ``SLOW`` of the rate are no accident."""
 SLOW = 0.9
-BELIEVED = "the drive's watchdog is believed, not proved: axis.prove_watchdog is off"
 
 
 @dataclass(frozen=True)
@@ -252,9 +251,10 @@ class PolledHub(HostPacedHub):
             counters=counters,
             checks_in_background=steady is None,
         )
-        unproved = () if link.prove_watchdog else (BELIEVED,)
         promised = dataclasses.replace(
-            drive.capabilities, rate=settings.rate, shortcomings=drive.capabilities.shortcomings + unproved
+            drive.capabilities,
+            rate=settings.rate,
+            shortcomings=drive.capabilities.shortcomings + link.shortcomings,
         )
         super().__init__(axis, promised, self._line.steady)
         self._settings, self._link = settings, link

@@ -222,7 +222,11 @@ def test_a_device_that_lies_is_found_out_by_name_and_left_by_the_way_that_is_sai
     assert scene.modes[-1]["fault"]["remedy"]
     scene.graph.wait(lambda: scene.controller.axis.velocity == 0.0, "the hub at rest", 10.0)
     scene.stays_at_rest()
+    n_seen = len(scene.modes)
     scene.controller.restart()  # a new firmware, which does not lie; for a broken clock it is the remedy
+    scene.graph.wait(
+        lambda: any(mode["state"] == "disconnected" for mode in scene.modes[n_seen:]), "a restart", 20.0
+    )
     for _ in range(30):
         # The driver comes back, proves the watchdog, and sees that the cause is gone.
         answer = scene.request("hub/clear_fault")
