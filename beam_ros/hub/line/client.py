@@ -191,7 +191,9 @@ class HubClient:
 
     def is_calm(self, now_ns: int) -> bool:
         """Whether nothing is under way that a turn every few milliseconds would be worth."""
-        is_busy = self._requests.are_pending or self._gate.sequence_id is not None
+        # Samples follow the device's word of its room, which ends a wait by itself.
+        is_loading = self._gate.sequence_id is not None and not self._stream.is_accepted
+        is_busy = self._requests.are_pending or is_loading
         return self._connection.is_up and not is_busy and not self._device_clock.is_new(now_ns)
 
     def begin_close(self) -> None:

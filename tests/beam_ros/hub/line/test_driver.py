@@ -224,7 +224,7 @@ def test_a_cable_pulled_mid_sequence_stops_the_axis_and_the_driver_comes_back(st
 
 def test_ten_minutes_are_checked_while_the_axis_stays_enabled(start):
     """The check takes a second or more; meanwhile the host speaks, or the device's watchdog would stop the axis."""
-    rig = start(ACCELERATION, guard=RigFile.from_file().beam_guard())
+    rig = start(PATIENT, guard=RigFile.from_file().beam_guard())
     rig.enable()
     values = np.zeros(600_000)
     values[:3000] = rest_to_rest(3000)
