@@ -24,6 +24,7 @@ from beam_ros.launching.processes import PrivateDomain, stay_on_this_machine
 from benchmarks.hub_driver import Desk, Pair, quiet_sequence
 
 EVERY_S = 5.0
+STARTING_S = 10.0
 SEQUENCE_S = 30.0
 FILLING = 0.2
 """Share of the time in which buffers fill."""
@@ -65,7 +66,7 @@ def watch(desk: Desk, pids: dict[str, int], minutes: float, *, moves: bool) -> d
         slope, _ = np.polyfit(times[kept], memory[kept], 1)
         found[name] = {
             "minutes": float(times[-1]),
-            "moving": n_moving / n_ticks,
+            "moving": n_moving / max(n_ticks, 1),
             "memory_mb": float(memory[-1]),
             "slope_mb_per_minute": float(slope),
             "fewest_descriptors": float(descriptors[kept].min()),
@@ -88,7 +89,7 @@ def main(argv: list[str] | None = None) -> None:
         desk = Desk()
         with Pair(shared=(f"axis.kind:={options.kind}",)) as rig:
             pids = {"driver": rig.driver.pid, "bare": rig.start_own("--bare", "objects").pid}
-            desk.ready()
+            desk.spin(STARTING_S)
             print("phase         process  minutes  in motion  memory [MB]  slope [MB/min]  descriptors")
             for phase in PHASES:
                 found[phase] = watch(desk, pids, options.minutes, moves=phase != PHASES[0])
