@@ -1,11 +1,12 @@
 """Do moves leave what was predicted? Simulated rigs are identified, moves are shaped from that, played and filmed.
 
-    python -m benchmarks.quiet_moves [--games N] [--first SEED] [--air share] [--json FILE]
+    python -m benchmarks.quiet_moves [--games N] [--first SEED] [--air share] [--json FILE] [--beside]
 
 Every game draws a strip, a way and an aim. A faint chirp gives the modes, a rehearsal of quick moves the axis and the
 decays. Then the strip grows warmer or colder by what the budget allows, the move is shaped, and the shaped and the
 unshaped move of the same length are played on the realistic rig. A game whose aim no move keeps is counted, not
-played.
+played. With --beside, every game plays the moves of others, too: the S-curve, shapers of textbook values, and the
+shaper that a printer's calibration chooses from the same chirp.
 """
 
 from __future__ import annotations
@@ -25,14 +26,22 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from beam_ident.errors import IdentificationError
 from beam_ident.shaping.choice import UNSHAPED
+from beam_ident.shaping.command import Move, convolved
 from beam_ident.shaping.residual import predict_residual
 from beam_ros.errors import RigError
 from beam_ros.excitation.shaping import MOVED_SD, MoveOrder, RigMove, shape_for_rig, with_move
 from beam_ros.offline.identification import identification_of_bags, write_models
+from beam_ros.offline.loading.experiment import load_experiment
 from beam_ros.offline.simulation import simulate
 from beam_ros.offline.swing_after import swing_after
 from beam_ros.reporting.shaping import known_model
 from beam_ros.rig.rig import Rig
+from benchmarks.printer_shapers import (
+    ASSUMED_DAMPING,
+    half_power_damping,
+    published_choice,
+    spectrum_of,
+)
 
 WITHOUT_AIR = {"simulation.drag_coefficient": 0.0, "simulation.large_deflections": False}
 CHIRP = {
@@ -53,9 +62,17 @@ REHEARSAL = {
 NO_LIMITS = {"hub.max_tip_deflection": 0.2, "beam.max_root_strain": 0.1}
 """Of the unshaped move, which a real beam would not be let make."""
 REST = {"excitation.dwell": 2.0, "excitation.still": 0.1}
+FASTER = 10.0
+"""By which time runs faster for the printer's calibration: the first mode lies where one of a printer does, at 44 Hz.
+
+The second one then lies above the band that it looks at. That helps it: it weighs accelerations, and would shape the
+second mode, which swings ten times less far.
+"""
+PRINTER_ASSUMED = f"printer's, damping {ASSUMED_DAMPING:g}"
+PRINTER_MEASURED = "printer's, damping of the peak"
 
 
-def game(seed: int, air: bool, folder: Path) -> dict[str, Any]:
+def game(seed: int, air: bool, folder: Path, *, with_others: bool = False) -> dict[str, Any]:
     """Play one game; return its figures (SI)."""
     rng = np.random.default_rng(seed)
     rig = Rig.from_file().with_values(
@@ -70,6 +87,8 @@ def game(seed: int, air: bool, folder: Path) -> dict[str, Any]:
         }
     )
     start, end = _way(rng)
+    if with_others:  # from home: what others leave of a way to the start would still swing
+        start, end = 0.0, end - start
     aim = float(np.exp(rng.uniform(np.log(5e-5), np.log(5e-4))))
     order = MoveOrder(start, end, aim)
     row: dict[str, Any] = {"seed": seed, "air": air, "from": start, "to": end, "aim": aim}
@@ -95,6 +114,8 @@ def game(seed: int, air: bool, folder: Path) -> dict[str, Any]:
     warmer = 1.0 + MOVED_SD[0] * float(rng.standard_normal())
     later = {"beam.youngs_modulus": rig.beam.youngs_modulus * warmer**2, "simulation.seed": seed + 10**6}
     row |= _played(found, later, folder)
+    if with_others:
+        row["beside"] = _beside(found, later, folder)
     return row
 
 
@@ -156,6 +177,66 @@ def _played(found: RigMove, later: dict[str, Any], folder: Path) -> dict[str, An
     }
 
 
+def _beside(found: RigMove, later: dict[str, Any], folder: Path) -> list[dict[str, Any]]:
+    """Play what others would, and say what the same beam and the film of each move say of it."""
+    choice = found.choice
+    order = MoveOrder(choice.task.start, choice.task.end, choice.aim)
+    rows = []
+    for number, move in enumerate((choice.chosen.move, *_moves_of_others(found, folder / "chirp"))):
+        bag = folder / f"beside{number}"
+        simulate(with_move(found.rig, move, order).with_values({**later, **REST, **NO_LIMITS}), bag)
+        residual = predict_residual(move, choice.beam)
+        low, high = residual.interval
+        rows.append(
+            {
+                "name": ("chosen", "ZV, as identified", move.name)[min(number, 2)],
+                "duration_s": move.duration_s,
+                "predicted": float(np.max(residual.median)),
+                "low": float(low[residual.worst]),
+                "high": float(high[residual.worst]),
+                "measured": float(np.max(swing_after(bag, choice.beam.model).swings)),
+            }
+        )
+    return rows
+
+
+def _moves_of_others(found: RigMove, chirp: Path) -> list[Move]:
+    """Return the best ZV, the S-curve, as quick and as long, filters, textbook shapers, and the printer's."""
+    base = found.choice.others[0].move
+    moves = [trial.move for trial in (found.choice.shapers[0], *found.choice.others)]
+    record = load_experiment(chirp).record
+    tip = record.outputs[-1]
+    rate_hz = 1.0 / float(np.median(np.diff(tip.times_s)))
+    spectrum = spectrum_of(np.where(np.isfinite(tip.values), tip.values, 0.0), rate_hz, FASTER)
+    for name, zeta in (
+        (PRINTER_ASSUMED, ASSUMED_DAMPING),
+        (PRINTER_MEASURED, half_power_damping(spectrum)),
+    ):
+        chosen = published_choice(spectrum, zeta)
+        print(f"{name} {zeta:.3g}: {chosen.name} at {chosen.frequency_hz / FASTER:.3f} Hz", file=sys.stderr)
+        times, amplitudes = chosen.impulses
+        moves.append(convolved(base, FASTER * times, amplitudes, name))
+    return moves
+
+
+def side_by_side(rows: list[dict[str, Any]]) -> str:
+    """Return the moves of all games beside each other, as medians."""
+    games = [row for row in rows if "beside" in row]
+    lines = [f"{'move':<44}{'duration':>10}{'predicted':>12}{'measured':>12}{'/ aim':>10}  aim kept"]
+    for number, first in enumerate(games[0]["beside"] if games else []):
+        own = [row["beside"][number] for row in games]
+        aims = np.array([row["aim"] for row in games])
+        measured = np.array([each["measured"] for each in own])
+        duration, predicted = (
+            float(np.median([each[key] for each in own])) for key in ("duration_s", "predicted")
+        )
+        lines.append(
+            f"{first['name']:<44}{duration:>8.3f} s{1e6 * predicted:>9.3g} um{1e6 * np.median(measured):>9.3g} um"
+            f"{np.median(measured / aims):>10.3g}  {int(np.sum(measured <= aims))} of {len(games)}"
+        )
+    return "\n".join(lines)
+
+
 def summary(rows: list[dict[str, Any]]) -> str:
     """Say what the games came to."""
     played = [row for row in rows if "measured" in row]
@@ -191,14 +272,21 @@ def _groups(rows: list[dict[str, Any]]) -> list[tuple[str, list[dict[str, Any]]]
     ]
 
 
-def play(games: int, first: int, air: float, show: Callable[[dict[str, Any]], None]) -> list[dict[str, Any]]:
+def play(
+    games: int,
+    first: int,
+    air: float,
+    show: Callable[[dict[str, Any]], None],
+    *,
+    with_others: bool = False,
+) -> list[dict[str, Any]]:
     """Play games one after the other; a game that fails is a row that says so."""
     rows = []
     for number in range(games):
         seed, is_air = first + number, (number + 0.5) / games < air if air not in (0.0, 1.0) else bool(air)
         with tempfile.TemporaryDirectory() as folder:
             try:
-                row = game(seed, is_air, Path(folder))
+                row = game(seed, is_air, Path(folder), with_others=with_others)
             except (IdentificationError, RigError) as err:
                 row = {"seed": seed, "air": is_air, "error": str(err)}
         rows.append(row)
@@ -217,13 +305,20 @@ def main() -> None:
         "--air", type=float, default=0.5, help="share of the games with air and large deflections"
     )
     parser.add_argument("--json", type=Path)
+    parser.add_argument("--beside", action="store_true", help="play the moves of others in every game, too")
     arguments = parser.parse_args()
     rows = play(
-        arguments.games, arguments.first, arguments.air, lambda row: print(json.dumps(row), flush=True)
+        arguments.games,
+        arguments.first,
+        arguments.air,
+        lambda row: print(json.dumps(row), flush=True),
+        with_others=arguments.beside,
     )
     if arguments.json:
         arguments.json.write_text(json.dumps(rows, indent=1), encoding="utf-8")
     print(summary(rows))
+    if arguments.beside:
+        print(side_by_side(rows))
 
 
 if __name__ == "__main__":

@@ -1,7 +1,8 @@
 """A pytest plug-in: which worker runs what (pytest-xdist).
 
 A file stays in one worker, where its fixtures are made once. All that starts rigs goes to one worker and begins
-first, since two rigs at a time would compete for a processor; beside it all else lets the rigs go first.
+first, since two rigs at a time would compete for a processor; all that serves a port or waits for a clock goes to
+another. Beside these all else lets them go first.
 """
 
 from __future__ import annotations
@@ -12,13 +13,20 @@ from typing import Any
 
 import pytest
 
-LIVE = (
-    *(f"tests/beam_ros/{room}/" for room in ("launching", "nodes", "shell")),
-    "tests/beam_ros/bags/test_bag_",
-    "tests/firmware/test_host_build.py",
-    "tests/packaging/test_plug_in.py",
-)
-"""Rooms and files with tests that start rigs of several nodes."""
+LIVE = {
+    "rigs": (
+        *(f"tests/beam_ros/{room}/" for room in ("launching", "nodes", "shell")),
+        "tests/beam_ros/bags/test_bag_",
+        "tests/firmware/test_host_build.py",
+        "tests/packaging/test_plug_in.py",
+    ),
+    "ports": (
+        *(f"tests/beam_ros/hub/{room}/" for room in ("emulated", "line", "links")),
+        "tests/beam_ros/bags/live/",
+        "tests/beam_ros/experiments/test_conduct.py",
+    ),
+}
+"""Rooms and files with tests that start rigs of several nodes, and with tests of one part against a clock."""
 
 _BACKGROUND = 10
 """Niceness of a worker once it runs what has no clock."""
@@ -32,13 +40,12 @@ def pytest_xdist_auto_num_workers(config: pytest.Config) -> int | None:
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
-    """Keep every file in one worker, and with slow tests all that is live."""
+    """Keep every file in one worker, and with slow tests all of one live kind."""
     from xdist.scheduler import LoadScopeScheduling
 
     class ByFile(LoadScopeScheduling):
         def _split_scope(self, nodeid: str) -> str:
-            file = nodeid.partition("::")[0]
-            return "live" if config.getoption("--all") and file.startswith(LIVE) else file
+            return _live(config, nodeid) or nodeid.partition("::")[0]
 
     config.option.loadscopereorder = False
     return ByFile(config, log)
@@ -50,18 +57,21 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     if "PYTEST_XDIST_WORKER" not in os.environ:
         return
     sizes = Counter(_file(item) for item in items)
-    items.sort(key=lambda item: (not _is_live(config, item), -sizes[_file(item)]))
+    places = {kind: place for place, kind in enumerate((*LIVE, ""))}
+    items.sort(key=lambda item: (places[_live(config, item.nodeid)], -sizes[_file(item)]))
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
     """Let what has no clock wait for the processor."""
     is_beside = "PYTEST_XDIST_WORKER" in os.environ and hasattr(os, "nice") and item.config.getoption("--all")
-    if is_beside and not _is_live(item.config, item) and os.nice(0) < _BACKGROUND:
+    if is_beside and not _live(item.config, item.nodeid) and os.nice(0) < _BACKGROUND:
         os.nice(_BACKGROUND)
 
 
-def _is_live(config: pytest.Config, item: pytest.Item) -> bool:
-    return bool(config.getoption("--all")) and item.nodeid.startswith(LIVE)
+def _live(config: pytest.Config, test: str) -> str:
+    """Return the kind of a test that is live, and nothing of any other."""
+    kinds = (kind for kind, places in LIVE.items() if test.startswith(places))
+    return next(kinds, "") if config.getoption("--all") else ""
 
 
 def _file(item: pytest.Item) -> str:

@@ -276,10 +276,11 @@ def _needed(best: JudgedMove, within: Sequence[JudgedMove], beam: KnownBeam, aim
         return f"{sentence}; the limits leave no quieter one: allow more time, or a shorter way"
     if is_kept(replace(beam, axis=AxisErrors())):
         strays = beam.axis.scatter_at(float(np.max(np.abs(best.move.accelerations))))
+        if beam.axis.lag == 0.0:
+            return f"{sentence}, since the hub strays by {1e6 * strays:.2g} um: needed is an axis that strays less"
         return (
             f"{sentence}, since the hub lags {1e6 * beam.axis.lag:.3g} um by friction and strays by "
-            f"{1e6 * strays:.2g} um: needed is an axis with less of both, or, where the lag counts, an "
-            "approach from the same side"
+            f"{1e6 * strays:.2g} um: needed is an axis with less of both, or an approach from the same side"
         )
     low, high = 0.0, 1.0
     for _ in range(_SPREAD_HALVINGS):

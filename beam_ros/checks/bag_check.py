@@ -89,7 +89,14 @@ class BagCheck:
         }
 
 
-def check_bag(path: AnyPath, rig: Rig | None = None, options: FitOptions | None = None) -> BagCheck:
+def check_bag(
+    path: AnyPath,
+    rig: Rig | None = None,
+    options: FitOptions | None = None,
+    *,
+    start_s: float | None = None,
+    end_s: float | None = None,
+) -> BagCheck:
     """Check a bag before anything is fitted to it.
 
     Parameters
@@ -97,6 +104,7 @@ def check_bag(path: AnyPath, rig: Rig | None = None, options: FitOptions | None 
     path : Path or RemotePath -- the bag
     rig : Rig, optional -- None: the rig that the bag itself describes, if it does
     options : FitOptions, optional -- signals, segments, structure and hold are taken from it
+    start_s, end_s : float, optional -- only what lies between these times after the first message, or row [s]
 
     Returns
     -------
@@ -113,13 +121,13 @@ def check_bag(path: AnyPath, rig: Rig | None = None, options: FitOptions | None 
     gates: list[Gate] = []
     try:
         if is_column_file(path):
-            experiment = load_experiment(path, rig, options.structure, options)
+            experiment = load_experiment(path, rig, options.structure, options, start_s=start_s, end_s=end_s)
             gates.append(Gate("file", "passed", "every row has its time", "rows in the order of their times"))
             return BagCheck(path, (*gates, *_gates(None, experiment, options)), experiment.notes)
-        with Bag(path) as bag:
+        with Bag(path, start_s=start_s, end_s=end_s) as bag:
             damage = list(bag.damage())
             gates.append(_file_gate(damage, path))
-            experiment = load_experiment(path, rig, options.structure, options)
+            experiment = load_experiment(path, rig, options.structure, options, start_s=start_s, end_s=end_s)
             gates += _gates(bag, experiment, options)
     except (BagNotFoundError, NotABagError):
         raise
@@ -167,7 +175,8 @@ def _gates(bag: Bag | None, experiment: Experiment, options: FitOptions) -> Iter
     noise_sd = floors(outputs)
     if bag is not None:
         yield from _bag_gates(bag, experiment, options, TimingCosts(outputs, noise_sd))
-    yield jump_gate(records)
+        # The rows of a file share one clock, and only whole rows may be missing in it.
+        yield jump_gate(records)
     yield from rate_gates(outputs, rig, not signals.outputs)
     of_metres = [noise_sd[own.name] for own in records[0].outputs if noise_sd[own.name] > 0.0]
     yield from input_gates(records[0], min(of_metres, default=math.inf))

@@ -125,6 +125,7 @@ def _shaped(
 ) -> RigMove:
     known = _reached(theory, rig.hub.period) if identified is None else led_model(identified, theory)
     known = known.driven_by("acceleration")
+    _require_one_beam(known, theory)
     law, known = _law(rig, curves, known)
     sds = THEORY_SD if identified is None else MOVED_SD
     errors = axis or AxisErrors()
@@ -146,6 +147,17 @@ def _shaped(
     plan_excitation(found)
     source = "the rig's theory" if identified is None else "the identified model"
     return RigMove(choice, found, source, tuple(_notes(beam, identified, axis, curves, choice)))
+
+
+def _require_one_beam(known: ModalModel, theory: ModalModel) -> None:
+    """Refuse a model that is nearer to another unit, a thousand times as large or small, than to the rig."""
+    lowest, expected = float(np.min(known.frequencies_hz)), float(np.min(theory.frequencies_hz))
+    if abs(math.log(lowest / expected)) > 0.5 * math.log(1000.0):
+        raise UsageError(
+            f"the model's first mode is at {lowest:.3g} Hz, where the rig's theory has {expected:.3g} Hz; expected a "
+            "model of this rig: is one of them in units a thousand times too large or small? Give the --rig-file of "
+            "the beam that was identified, and frequencies in rad/s"
+        )
 
 
 def unshaped_beside(found: RigMove) -> Rig:

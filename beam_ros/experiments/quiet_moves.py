@@ -217,16 +217,32 @@ def swings_figure(
         ".",
         markersize=2.5,
         color=COLOURS[len(swings) - 1],
-        label=name,
+        label=f"{name}, measured",
     )
     for sign in (-1.0, 1.0):
+        is_named = sign > 0.0
         close.axhspan(
-            1e6 * sign * interval[0], 1e6 * sign * interval[1], color=MEASURED, alpha=0.25, linewidth=0.0
+            1e6 * sign * interval[0],
+            1e6 * sign * interval[1],
+            color=MEASURED,
+            alpha=0.25,
+            linewidth=0.0,
+            label="predicted, 95 %" if is_named else None,
         )
-        close.axhline(1e6 * sign * aim, color=REFERENCE, linestyle="--", linewidth=0.9)
+        close.axhline(
+            1e6 * sign * aim,
+            color=REFERENCE,
+            linestyle="--",
+            linewidth=0.9,
+            label="aim" if is_named else None,
+        )
+    # Room above the aim, where nothing is drawn, for the names.
+    highest = 1e6 * max(aim, interval[1], float(np.max(np.abs(deflections[after]), initial=0.0)))
+    close.set_ylim(-1.1 * highest, 1.35 * highest)
     whole.set_ylabel("from its place of rest [mm]")
     close.set_ylabel("from its place of rest [um]")
     for axis in (whole, close):
         axis.set_xlabel("time since the end of the command [s]")
-        axis.legend(frameon=False, fontsize=8)
+    whole.legend(frameon=False, fontsize=9, loc="lower right")
+    close.legend(frameon=False, fontsize=8, loc="upper center", ncols=3, columnspacing=1.2)
     return figure

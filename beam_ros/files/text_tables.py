@@ -30,7 +30,7 @@ _POINT = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$")
 _COMMA = re.compile(r"[+-]?(\d+,?\d*|,\d+)([eE][+-]?\d+)?$")
 _WORDS_OF_KLIPPER = {"accel_x": "mm/s^2", "accel_y": "mm/s^2", "accel_z": "mm/s^2"}
 """Columns of Klipper's raw accelerometer data, which has no units in its headings, and what they are in."""
-_SPECTRUM_OF_KLIPPER = "psd_xyz"
+_SPECTRUM_OF_KLIPPER = "psd_"
 
 
 @dataclass(frozen=True)
@@ -114,9 +114,10 @@ class TextTable:
         if len(above) > 1 and all(_is_unit_field(field) for field in headings):
             units = [_bare_unit(field) for field in headings]
             headings = above[-2]
-        if _SPECTRUM_OF_KLIPPER in headings:
+        if any(heading.startswith(_SPECTRUM_OF_KLIPPER) for heading in headings):
             raise ColumnFileError(
-                f"{self.path}: holds the spectrum that Klipper made of a test, and no samples; expected raw data: "
+                f"{self.path}: holds power spectra, as Klipper makes them of a test: they have no phase, and their "
+                "peaks are as wide as windows of half a second make them; expected samples, as "
                 "TEST_RESONANCES AXIS=X OUTPUT=raw_data writes raw_data_x_*.csv"
             )
         named = [heading or f"column{k}" for k, heading in enumerate(headings, 1)]

@@ -16,6 +16,8 @@ from beam_ros.arrays import FloatArray
 from beam_ros.bags.errors import BagError
 from beam_ros.bags.reading import Bag
 from beam_ros.bags.signals import HubSamples
+from beam_ros.errors import UsageError
+from beam_ros.files.formats import is_column_file
 from beam_ros.offline.loading.hub_clock import (
     device_clock,
     device_times,
@@ -70,6 +72,23 @@ def identify_axis_of(
     return identify_axis(
         records, force="force", reference=reference, modes=modes, encoder=encoder, drive_mass=drive_mass
     )
+
+
+def refuse_files(paths: Sequence[AnyPath]) -> None:
+    """Refuse files of columns, before any work is done on them.
+
+    Raises
+    ------
+    UsageError
+        One of the paths is such a file.
+    """
+    for path in paths:
+        if is_column_file(path):
+            raise UsageError(
+                f"{path}: an axis is identified from hub/applied and hub/measured of a bag, which a file of columns "
+                "lacks; leave --axis out, or give force and position to `identify_axis` in Python: "
+                "TimeRecord.from_arrays(t, u={'force': f}, y={'hub': x}, units={'force': 'N', 'hub': 'm'})"
+            )
 
 
 def axis_record(path: AnyPath, notes: list[str]) -> TimeRecord:

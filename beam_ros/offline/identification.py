@@ -38,7 +38,7 @@ from beam_ident.report.page import write_whole
 from beam_ident.report.verdict import judge
 from beam_ros.bags.apparatus import simulated_line
 from beam_ros.errors import UsageError
-from beam_ros.offline.axis_bag import identify_axis_of, rig_values
+from beam_ros.offline.axis_bag import identify_axis_of, refuse_files, rig_values
 from beam_ros.offline.best_linear import best_linear_of
 from beam_ros.offline.identification_summary import SCHEMA, describe, validation_scores
 from beam_ros.offline.loading.experiment import Experiment, load_experiment
@@ -181,10 +181,9 @@ def identification_of_bags(
         n_modes=n_modes or options.n_modes,
     )
     find_estimator(options.estimator)
+    beside_axis = _beside_axis(_several(path), options) if options.axis else options
     gates = [gate for one in _several(path) for gate in checked(one, options)]
-    if options.axis and options.structure == "auto" and options.signals.drive is None:
-        # From force to motion leads the axis with its friction; the beam answers to the motion, which is measured.
-        options = replace(options, structure="base_motion")
+    options = beside_axis
     experiments = [
         load_experiment(one, rig, options.structure, options, start_s=start_s, end_s=end_s)
         for one in _several(path)
@@ -259,6 +258,15 @@ def identification_of_bags(
         linearity=found_linear,
         axis=axis,
     )
+
+
+def _beside_axis(paths: Sequence[AnyPath], options: FitOptions) -> FitOptions:
+    """Return the options by which a beam is identified whose axis is identified, too."""
+    refuse_files(paths)
+    if options.structure == "auto" and options.signals.drive is None:
+        # From force to motion leads the axis with its friction; the beam answers to the motion, which is measured.
+        return replace(options, structure="base_motion")
+    return options
 
 
 def _axis_of(experiments: Sequence[Experiment], options: FitOptions, content: dict[str, Any]) -> AxisResult:

@@ -136,6 +136,10 @@ def stored_models(file: Path) -> list[Any]:
         The file cannot be read, or holds no model.
     """
     file = stored_model_file(file)
+    if not file.exists():
+        raise UsageError(
+            f"{file}: is not there; expected a bag, or the model.json that `beam identify` wrote"
+        )
     try:
         document = json.loads(file.read_text(encoding="utf-8"))
     except (OSError, ValueError) as err:

@@ -20,8 +20,8 @@ _SHOWN = 4.0  # half-widths of the identified interval
 
 def insensitivity_figure(choice: Choice) -> Figure:
     """Draw what moves leave over the error of the frequencies, with the identified interval and the aim."""
-    figure, axes = axes_grid(1, 1, (9.0, 4.2))
-    axis = axes[0, 0]
+    figure, axes = axes_grid(2, 1, (9.0, 4.7), height_ratios=(6.0, 1.0))
+    axis, below = axes[:, 0]
     beam = choice.beam
     half = 1.96 * float(beam.frequency_sd[0])
     reach = max(_MIN_REACH, _SHOWN * half)
@@ -37,12 +37,21 @@ def insensitivity_figure(choice: Choice) -> Figure:
         )
     axis.axvspan(-100.0 * half, 100.0 * half, color=MEASURED, alpha=0.2, linewidth=0.0)
     axis.axhline(1e6 * choice.aim, color=REFERENCE, linestyle="--", linewidth=0.9)
-    axis.annotate("aim", (-100.0 * reach, 1e6 * choice.aim), fontsize=8, color=REFERENCE, va="bottom")
+    axis.annotate(
+        "aim",
+        (-100.0 * reach, 1e6 * choice.aim),
+        xytext=(4.0, 2.0),
+        textcoords="offset points",
+        fontsize=9,
+        color=REFERENCE,
+    )
     axis.set_xlabel("error of the frequencies [%]")
     axis.set_ylabel("swing that is left [um]")
     axis.set_ylim(bottom=1e3 * choice.aim)
     axis.set_xlim(-100.0 * reach, 100.0 * reach)
-    axis.legend(frameon=False, fontsize=8, loc="lower center", ncol=2)
+    # Curves may be anywhere: their names stand below them.
+    below.axis("off")
+    below.legend(*axis.get_legend_handles_labels(), frameon=False, fontsize=9, loc="center", ncol=2)
     plain_decades(figure)
     return figure
 

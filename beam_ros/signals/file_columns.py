@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,6 +23,9 @@ from beam_ros.files.formats import open_columns
 from beam_ros.files.units import INPUT_KINDS, OUTPUT_KINDS, find_unit
 from beam_ros.signals.descriptions import Signals, SignalSource
 from beam_ros.signals.fields import FieldSamples
+
+NO_INPUT = "none"
+"""Named as the input, it says that nothing drives the outputs."""
 
 Sampled = tuple[SignalSource, FieldSamples]
 
@@ -52,23 +56,62 @@ def read_file_signals(
     UsageError
         Input or outputs are not named, or a column measures something else.
     """
+    if signals.drive is None or not signals.outputs:
+        which = "the input" if signals.drive is None else "an output"
+        raise UsageError(
+            f"{path}: {which} is not named; name both with --input and --output, among its columns: "
+            f"{_headings(path)}. Where outputs ring freely, `beam identify --input {NO_INPUT}` needs no input"
+        )
+    if signals.drive.field == NO_INPUT:
+        raise UsageError(
+            f"{path}: --input {NO_INPUT}, for outputs that ring freely; expected an input here: only "
+            "`beam identify`, of one file, does without"
+        )
+    return _sampled(
+        path, [(signals.drive, True), *((own, False) for own in signals.outputs)], time, notes, start_s, end_s
+    )
+
+
+def read_file_outputs(
+    path: Path,
+    signals: Signals,
+    time: str,
+    notes: list[str],
+    *,
+    start_s: float | None = None,
+    end_s: float | None = None,
+) -> list[Sampled]:
+    """Return the outputs of a file of columns that nothing drives; as ``read_file_signals`` but for the input."""
+    if not signals.outputs:
+        raise UsageError(
+            f"{path}: no output is named; name those that ring with --output, among its columns: {_headings(path)}"
+        )
+    return _sampled(path, [(own, False) for own in signals.outputs], time, notes, start_s, end_s)
+
+
+def _headings(path: Path) -> str:
+    return ", ".join(own.heading for own in open_columns(path).columns)
+
+
+def _sampled(
+    path: Path,
+    told: Sequence[tuple[SignalSource, bool]],
+    time: str,
+    notes: list[str],
+    start_s: float | None,
+    end_s: float | None,
+) -> list[Sampled]:
+    """Return the samples of signals, each given with whether it is an input."""
     file = open_columns(path)
     base = time_base(file, time)
-    if signals.drive is None or not signals.outputs:
-        raise UsageError(
-            f"{path}: {'the input' if signals.drive is None else 'an output'} is not named; name both with "
-            f"--input and --output, among its columns: {', '.join(own.heading for own in file.columns)}"
-        )
-    sources = [
-        _known_source(file, own, is_input=k == 0) for k, own in enumerate((signals.drive, *signals.outputs))
-    ]
+    sources = [_known_source(file, own, is_input) for own, is_input in told]
     choices = [choose_column(file, own.field, own.unit) for own in sources]
     # A value of an output may be missing, as of a marker that was not seen.
     data = read_columns(
         file,
         base,
         [replace(own, unit=replace(own.unit, factor=1.0)) for own in choices],
-        [True] + [False] * (len(sources) - 1),
+        [is_input for _, is_input in told],
         start_s=start_s,
         end_s=end_s,
     )

@@ -19,6 +19,7 @@ from beam_ros.bags.reading import STORAGE_SUFFIXES, Bag
 from beam_ros.bags.summary import BagInfo, summarise
 from beam_ros.errors import UsageError, faults_of_the_user
 from beam_ros.excitation.recipes import describe_excitation
+from beam_ros.files.formats import is_column_file
 from beam_ros.interfaces.rig_parameters import IdentifierSettings
 from beam_ros.offline.identification import identify_bag
 from beam_ros.offline.loading.options import FitOptions
@@ -92,7 +93,8 @@ def find_bags(patterns: Sequence[str]) -> list[Path]:
 
     Parameters
     ----------
-    patterns : sequence of str -- bags, folders that hold bags at any depth, or patterns such as ``runs/*/bag``
+    patterns : sequence of str
+        Bags, folders that hold bags at any depth, patterns such as ``runs/*/bag``, or files of columns.
 
     Returns
     -------
@@ -111,20 +113,20 @@ def find_bags(patterns: Sequence[str]) -> list[Path]:
             named = sorted(root.glob(str(path.relative_to(root))))
         else:
             named = [path]
-        bags = [bag for one in named for bag in _bags_in(one)]
+        bags = [bag for one in named for bag in _bags_in(one, is_column_file(path))]
         if not bags:
             raise UsageError(
                 f"{pattern} names no bag: expected a bag, a folder that holds bags, or a pattern such as "
-                "'runs/*/bag'; check the path"
+                "'runs/*/bag' or 'runs/*.csv'; check the path"
             )
         found.update(dict.fromkeys(bags))
     return list(found)
 
 
-def _bags_in(path: Path) -> Iterator[Path]:
-    """Yield a bag, or those in a folder: folders with a storage file, and single storage files nowhere else."""
+def _bags_in(path: Path, is_named: bool = False) -> Iterator[Path]:
+    """Yield a bag, or those in a folder: folders with a storage file, and single files where they are named."""
     if path.is_file():
-        if path.suffix in STORAGE_SUFFIXES:
+        if path.suffix in STORAGE_SUFFIXES or (is_named and is_column_file(path)):
             yield path
     elif path.is_dir():
         if any(file.suffix in STORAGE_SUFFIXES for file in path.iterdir()):
@@ -161,8 +163,7 @@ def failed_row(item: Item, reason: str) -> Row:
 
 
 def _row_of_bag(path: Path, settings: Settings, gates_of: GatesOf) -> Row:
-    with Bag(path) as bag:
-        info = summarise(bag)
+    info = None if is_column_file(path) else _summary(path)
     options = FitOptions.of(settings.identifier)
     gates = gates_of(path, settings.rig, replace(options, estimator="modal"))
     found = identify_bag(path, rig=settings.rig, options=options)
@@ -185,16 +186,22 @@ def _row_of_bag(path: Path, settings: Settings, gates_of: GatesOf) -> Row:
         **_modes(found["modes"]),
         **{name: found.get(name) for name in ("latency_s", "latency_sd_s", "clock_rate", "clock_rate_sd")},
         **{f"fit_percent_{name}": own["fit_percent"] for name, own in found["scores"].items()},
-        **_quality(info),
+        **(_quality(info) if info else {}),
         **{f"gates_{verdict}": _names(gates, verdict) for verdict in ("failed", "doubtful")},
         "notes": " | ".join(found["notes"]),
         "doubts": " | ".join((*doubts, *found["warnings"])),
     }
 
 
-def _beam_of(info: BagInfo, rig: Rig | None, structure: str) -> str:
+def _summary(path: Path) -> BagInfo:
+    with Bag(path) as bag:
+        return summarise(bag)
+
+
+def _beam_of(info: BagInfo | None, rig: Rig | None, structure: str) -> str:
     """Return a mark of the beam and its ends, the same for all bags of one; empty where none is described."""
-    described = (info.excitation or {}).get("rig") if rig is None else rig.to_nested()
+    excitation = info.excitation if info else None
+    described = (excitation or {}).get("rig") if rig is None else rig.to_nested()
     if not described:
         return ""
     loads = described.get("hub", {}).get("mass") if structure == "force" else None
@@ -224,15 +231,17 @@ def _distance(mode: Mapping[str, Any]) -> float:
     return float(abs(mode["frequency_hz"] - mode.get("theory_frequency_hz", mode["frequency_hz"])))
 
 
-def _provenance(path: Path, info: BagInfo) -> Row:
+def _provenance(path: Path, info: BagInfo | None) -> Row:
     files = _files(path)
+    of_files = {"bytes": sum(file.stat().st_size for file in files), "sha256": checksum(*files)}
+    if info is None:  # a file of columns says nothing of where it comes from
+        return of_files
     return {
         "recorded": info.apparatus.date(info.start_ns) if info.apparatus.has_date else None,
         "apparatus": info.apparatus.kind,
         "duration_s": info.duration_ns * 1e-9,
         "messages": info.message_count,
-        "bytes": sum(file.stat().st_size for file in files),
-        "sha256": checksum(*files),
+        **of_files,
         "excitation": describe_excitation(info.excitation or {}),
     }
 

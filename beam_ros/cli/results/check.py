@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import argparse
 
-from beam_ros.cli.options import add_rig_file
+from beam_ros.cli.options import add_rig_file, add_span, read_span
 from beam_ros.cli.results.identify import add_options, bags_of, read_settings
 from beam_ros.process.progress import Progress
 from beam_ros.process.strict_json import strict_json
 
-_PARAMETERS = ("structure", "hold", "segments", "input", "outputs", "signals")
+_PARAMETERS = ("structure", "hold", "segments", "input", "outputs", "time", "signals")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -23,8 +23,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "bag",
         nargs="+",
         metavar="BAG",
-        help="folder of the bag, or a single .mcap or .db3 file, here or by its URL",
+        help="folder of the bag, or a single .mcap or .db3 file, here or by its URL, or a file of columns",
     )
+    add_span(parser)
     add_options(parser, _PARAMETERS)
     add_rig_file(parser)
     parser.add_argument("--json", action="store_true", help="print JSON")
@@ -37,11 +38,12 @@ def run(arguments: argparse.Namespace) -> int:
 
     settings, rig = read_settings(arguments)
     options = FitOptions.of(settings)
+    start_s, end_s = read_span(arguments)
     checks = []
     with Progress("check", float(len(arguments.bag))) as stage:
         for number, path in enumerate(paths(bags_of(arguments))):
             stage.update(float(number), str(path))
-            checks.append(check_bag(path, rig, options))
+            checks.append(check_bag(path, rig, options, start_s=start_s, end_s=end_s))
         stage.finish(f"{len(checks)} bags")
     if arguments.json:
         found = [check.to_dict() for check in checks]

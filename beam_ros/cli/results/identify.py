@@ -3,8 +3,8 @@
 Prints the natural frequencies and damping ratios, beside the theory of the rig where the bag describes it; writes a
 self-contained report.html into the folder of --report, and model.json, poles.csv, figures/ and, where the bag has
 images, film.mp4 beside it. Several bags are one fit. Of a CSV, MAT, NPZ, UFF or TDMS file, --input and --output name
-columns. Every flag is a parameter of the node `identifier`, too, and a
-rig file may set it.
+columns; --input none says that nothing drives its outputs, which ring freely. Every flag is a parameter of the node
+`identifier`, too, and a rig file may set it.
 """
 
 from __future__ import annotations
@@ -120,16 +120,22 @@ def run(arguments: argparse.Namespace) -> int:
     from beam_ident import AxisResult
     from beam_ros.bags.apparatus import Apparatus
     from beam_ros.checks.bag_check import BagCheck, check_bag
+    from beam_ros.offline.free_decay import format_decay, identify_decay
     from beam_ros.offline.identification_summary import format_table
     from beam_ros.reporting.identification import format_files, identify_told
+    from beam_ros.signals.file_columns import NO_INPUT
 
     settings, rig = read_settings(arguments)
     settings = replace(settings, bag=bags_of(arguments))
+    if settings.input == NO_INPUT:
+        decay = identify_decay(settings, *read_span(arguments))
+        print(strict_json(decay, indent=2) if arguments.json else format_decay(decay))
+        return 0
     checks: list[BagCheck] = []
 
     def check(path: AnyPath, options: FitOptions) -> Sequence[Gate]:
         stage.update(0.0, f"checking {path}")
-        checks.append(check_bag(path, rig, options))
+        checks.append(check_bag(path, rig, options, start_s=start_s, end_s=end_s))
         # Said before the fit, which may fail for just these reasons.
         for gate in checks[-1].gates:
             if gate.verdict in ("failed", "doubtful"):

@@ -1,7 +1,8 @@
 """Identify many bags, one row each in one table, with a page that sums them up.
 
-BAGS are bags, folders that hold bags at any depth, or quoted patterns. The work runs on the cores of this machine, or
-on a Dask cluster whose workers see the same paths. A bag that cannot be identified is a row with its error. An
+BAGS are bags, folders that hold bags at any depth, quoted patterns, or files of columns with --input and --output.
+The work runs on the cores of this machine, or on a Dask cluster whose workers see the same paths. A bag that cannot
+be identified is a row with its error. An
 interrupted study goes on with the same command and --out. With --simulate, experiments on the simulated rig with
 seeds of their own take the place of bags: how often do the intervals hold the truth?
 """
@@ -27,7 +28,9 @@ _LEFT_OUT = ("report", "validate", "overwrite")
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's arguments."""
-    parser.add_argument("bags", nargs="*", metavar="BAGS", help="bags, folders of bags, or quoted patterns")
+    parser.add_argument(
+        "bags", nargs="*", metavar="BAGS", help="bags, folders of bags, quoted patterns, or files"
+    )
     parser.add_argument("--simulate", type=int, metavar="N", help="instead of bags: N simulated experiments")
     parser.add_argument("--seed", type=int, default=1, help="of the first simulated experiment (default: 1)")
     parser.add_argument(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 
 import numpy as np
 import pytest
@@ -67,6 +68,11 @@ def test_an_axis_that_strays_too_far_is_named() -> None:
     found = choose_move(TASK, KnownBeam(beam_model(), axis=AxisErrors(1e-4, ((1.0, 1e-5),))), 1e-5)
     assert not found.keeps_aim
     assert "lags 100 um by friction" in found.needed
+
+
+def test_an_axis_without_friction_that_strays_is_not_blamed_for_lagging() -> None:
+    beam = KnownBeam(beam_model(), axis=AxisErrors(0.0, ((1.0, 1e-4),)))
+    assert re.search(r"the hub strays by \S+ um: needed is", choose_move(TASK, beam, 1e-5).needed)
 
 
 @pytest.mark.parametrize("aim", [0.0, -1e-5, np.nan, 20.0])

@@ -86,6 +86,14 @@ def test_places_outside_of_the_travel_an_aim_of_nothing_and_a_model_of_a_force_a
         shape_for_rig(RIG, MoveOrder(0.0, 0.02, 1e-4), identified(structure="receptance"))
 
 
+@pytest.mark.parametrize("wrong", [1e-3, 1e3])
+def test_frequencies_in_units_a_thousand_times_another_are_named_before_any_search(wrong: float) -> None:
+    model = identified()
+    scaled = dataclasses.replace(model, natural_frequencies=wrong * model.natural_frequencies)
+    with pytest.raises(UsageError, match=r"first mode is at .*thousand times.*--rig-file"):
+        shape_for_rig(RIG, MoveOrder(0.0, 0.02, 1e-4), scaled)
+
+
 @pytest.mark.slow
 def test_a_model_without_covariance_is_called_nominal(forty: RigMove) -> None:
     assert any("no covariance" in note for note in forty.notes)

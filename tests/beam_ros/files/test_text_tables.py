@@ -110,9 +110,13 @@ def test_klippers_raw_data_is_known_by_its_headings_and_its_spectra_are_refused(
     found = TextTable(raw).columns
     assert [own.unit for own in found] == ["", "mm/s^2", "mm/s^2", "mm/s^2"]
     spectrum = tmp_path / "calibration_data_x.csv"
-    spectrum.write_text("freq,psd_x,psd_y,psd_z,psd_xyz,mzv:44.8\n5.0,1,1,1,3,0.5\n6.0,1,1,1,3,0.5\n")
-    with pytest.raises(ColumnFileError, match=r"spectrum that Klipper made.*OUTPUT=raw_data"):
-        TextTable(spectrum)
+    for text in (
+        "freq,psd_x,psd_y,psd_z,psd_xyz,mzv:44.8\n5.0,1,1,1,3,0.5\n6.0,1,1,1,3,0.5\n",
+        "freq,psd_x\n5.0,1\n6.0,1\n",
+    ):
+        spectrum.write_text(text)
+        with pytest.raises(ColumnFileError, match=r"power spectra.*no phase.*OUTPUT=raw_data"):
+            TextTable(spectrum)
 
 
 @pytest.mark.parametrize(

@@ -216,7 +216,7 @@ def test_all_formats_are_written_at_once_and_never_over_a_file(
         (["bag"], "nothing says what to write"),
         (["bag", "--csv", "out", "--driven-by", "velocity"], "--driven-by goes with --model alone"),
         (["--model", "MODEL", "--mat", "nowhere/a.mat"], "there is no folder nowhere"),
-        (["--model", "nowhere.json", "--mat", "a.mat"], "cannot be read as JSON"),
+        (["--model", "nowhere.json", "--mat", "a.mat"], "nowhere.json: is not there"),
     ],
 )
 def test_words_that_do_not_go_together_are_refused(

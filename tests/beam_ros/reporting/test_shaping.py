@@ -76,7 +76,7 @@ def test_frictions_lag_is_read_off_a_bag(tmp_path: Path) -> None:
     [
         (["--to", "0.02", "--aim", "20e-6", "--rehearsal", "there"], "goes with a MODEL"),
         (["--to", "0.02", "--aim", "20e-6", "--frequency-sd", "2"], "expected a share"),
-        (["nowhere.json", "--to", "0.02", "--aim", "20e-6"], "cannot be read"),
+        (["nowhere.json", "--to", "0.02", "--aim", "20e-6"], "is not there"),
         (["--to", "0.02", "--aim", "20e-6", "-p", "hub.command_mode:=effort"], "set hub.command_mode"),
         (["--to", "20", "--aim", "20e-6"], "travel ends at"),
     ],

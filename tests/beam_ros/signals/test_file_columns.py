@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -112,6 +113,25 @@ def test_the_check_judges_a_file_and_names_what_is_not_of_a_bag(file: Path) -> N
     assert "device clock" not in names
     far = check_bag(file, options=FitOptions(signals=Signals.of("hub", ["tip_mm,scale=1000"])))
     assert any("times as much as hub: millimetres?" in gate.figure for gate in far.gates)
+
+
+def test_the_check_looks_at_the_part_that_is_asked_for(
+    file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given = [str(file), "--input", "hub", "--output", "tip", "--time", "rate=500", "--from", "1", "--to", "3"]
+    assert main(["check", *given]) == 0
+    assert re.search(r"frequencies 0\.5\d* Hz apart, 2 s", capsys.readouterr().out)
+
+
+def test_a_value_that_is_missing_in_a_row_is_no_jump_of_a_clock(tmp_path: Path) -> None:
+    path = tmp_path / "seen.csv"
+    t = 0.01 * np.arange(400)
+    seen = [f"{v:.9g}" for v in 1e-3 * np.sin(9.0 * t + 0.5)]
+    seen[200] = ""
+    rows = [f"{own:.2f},{np.sin(9.0 * own):.9g},{value}" for own, value in zip(t, seen, strict=True)]
+    path.write_text("\n".join(["t_s,hub_mm,tip_m", *rows, ""]))
+    checked = check_bag(path, options=FitOptions(signals=Signals.of("hub", ["tip"])))
+    assert "clock jumps" not in [gate.name for gate in checked.gates]
 
 
 def test_a_column_means_nothing_in_a_bag(tmp_path: Path) -> None:

@@ -19,6 +19,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.signal import cont2discrete, lfilter
 
 from beam_ros.checks.bag_check import gates_of_bag
 from beam_ros.cli.main import main
@@ -68,6 +69,30 @@ def test_a_row_holds_poles_quality_and_provenance(rows: list[Row]) -> None:
     assert row["recorded"] is None  # the simulator's time is made up
     assert row["apparatus"] == "simulated"
     assert "excitation.kind:=chirp" in row["excitation"]
+
+
+@pytest.mark.slow
+def test_files_of_columns_are_rows_where_they_are_named(tmp_path: Path) -> None:
+    rng = np.random.default_rng(5)
+    t, base = 0.01 * np.arange(2000), 1e-3 * lfilter([0.1], [1.0, -0.9], rng.standard_normal(2000))
+    mode = cont2discrete(([-1.5, 0.0, 0.0], [1.0, 0.28, 784.0]), 0.01, method="foh")
+    tip = base + lfilter(np.ravel(mode[0]), np.ravel(mode[1]), base) + 2e-6 * rng.standard_normal(2000)
+    for name in ("a", "b"):
+        columns = np.column_stack([t, 1e3 * base, 1e3 * tip])
+        np.savetxt(tmp_path / f"{name}.csv", columns, delimiter=",", header="t_s,hub_mm,tip_mm", comments="")
+    (tmp_path / "note.txt").write_text("seen at the rig")
+    assert find_bags([str(tmp_path / "*.csv")]) == [tmp_path / "a.csv", tmp_path / "b.csv"]
+    with pytest.raises(UsageError, match="names no bag"):
+        find_bags([str(tmp_path)])
+    row = study_row(Item(bag=tmp_path / "a.csv"), settings_of(input="hub", outputs="tip"), gates_of_bag)
+    assert row["error"] is None
+    # 784 is (28 rad/s)^2, 0.28 is 2 zeta omega.
+    assert row["mode1_frequency_hz"] == pytest.approx(28.0 / (2.0 * np.pi), rel=1e-3)
+    assert row["mode1_damping_ratio"] == pytest.approx(0.005, rel=0.02)
+    assert len(row["sha256"]) == 64
+    other = study_row(Item(bag=tmp_path / "b.csv"), settings_of(), gates_of_bag)
+    table = write_table([row, other], tmp_path, True)
+    assert "the input is not named" in table.read_text()
 
 
 def test_a_bag_that_cannot_be_read_is_a_row_with_its_error(rows: list[Row]) -> None:
