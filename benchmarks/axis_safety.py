@@ -425,7 +425,8 @@ class LyingStream(Stream):
         size = min(
             0.2 * axis.position_limit, 0.2 * axis.max_speed / rate, 0.2 * axis.max_acceleration / rate**2
         )
-        fade = np.sin(np.pi * np.arange(n) / (n - 1)) ** 2
+        # With the fourth power it is at rest at both ends, also where the way is long.
+        fade = np.sin(np.pi * np.arange(n) / (n - 1)) ** 4
         path = size * fade * np.sin(rate * t)
         values = {
             "position": path,
@@ -439,7 +440,7 @@ class LyingStream(Stream):
                 "sway", k // 500 + 1, n // 500, start_ns, axis.period_ns, k, values[k : k + 500]
             )
             self.client.load(chunk, self.now)
-        self.run(1.0 + self.rng.uniform(0.5, 3.0))
+        self.run(1.5 + self.rng.uniform(0.5, 3.0))
         assert self.status.activity == "sequence", (self.status, self.report.sequences)
 
     def find(self) -> Finding:

@@ -87,7 +87,9 @@ def main(argv: list[str] | None = None) -> None:
     with tempfile.TemporaryDirectory() as folder:
         stay_on_this_machine(os.environ, domain.number, Path(folder))
         desk = Desk()
-        with Pair(shared=(f"axis.kind:={options.kind}",)) as rig:
+        # An emulated axis may move without limits and watchdog of its own.
+        accepted = [f"axis.accept_no_device_{what}:=true" for what in ("limits", "watchdog")]
+        with Pair(shared=(f"axis.kind:={options.kind}", *accepted)) as rig:
             pids = {"driver": rig.driver.pid, "bare": rig.start_own("--bare", "objects").pid}
             desk.spin(STARTING_S)
             print("phase         process  minutes  in motion  memory [MB]  slope [MB/min]  descriptors")
