@@ -30,7 +30,6 @@ from beam_ros.hub.emulated.emulator import EmulatedFirmware
 from beam_ros.hub.emulated.injected_faults import KINDS, InjectedFault, disturb
 from beam_ros.hub.emulated.unruly_line import UnrulyLine
 from beam_ros.hub.faults import NO_FAULT, fault
-from beam_ros.hub.firmware.paced_firmware import PacedFirmware
 from beam_ros.hub.line import protocol
 from beam_ros.hub.line.client import HubClient
 from beam_ros.hub.parameters import (
@@ -41,6 +40,7 @@ from beam_ros.hub.parameters import (
     SimulatedDevice,
 )
 from beam_ros.hub.simulated.plant import RigidPlant
+from benchmarks.paced_firmware import PacedFirmware
 
 STEP_NS = 1_000_000
 UNIX_NS = 1_700_000_000_000_000_000
@@ -73,6 +73,16 @@ class Lie:
     names: tuple[str, ...]
     within: float
     amounts: tuple[tuple[str, float, float], ...] = ()
+
+    def drawn(self, rng: random.Random, at: float = 0.0) -> InjectedFault:
+        """Return one of its kind, that begins at a time [s since power-on]."""
+        amounts = {
+            name: math.exp(rng.uniform(math.log(least), math.log(most)))
+            if least > 0.0
+            else rng.uniform(least, most)
+            for name, least, most in self.amounts
+        }
+        return InjectedFault(self.kind, at, amounts=amounts)
 
 
 LED: tuple[CommandMode, ...] = ("acceleration", "velocity", "position")
@@ -372,17 +382,6 @@ class LyingStream(Stream):
         """What the host knows of the axis."""
         return self.report.status
 
-    def _injected(self) -> InjectedFault:
-        rng = self.rng
-
-        def drawn(least: float, most: float) -> float:
-            if least > 0.0:
-                return math.exp(rng.uniform(math.log(least), math.log(most)))
-            return rng.uniform(least, most)
-
-        amounts = {name: drawn(least, most) for name, least, most in self.lie.amounts}
-        return InjectedFault(self.lie.kind, 0.0, amounts=amounts)
-
     def _lie(self, injected: InjectedFault, *, begins: bool) -> None:
         if KINDS[injected.kind].place == "axis":
             disturb(self.firmware.axis, injected, begins=begins)
@@ -426,7 +425,8 @@ class LyingStream(Stream):
         size = min(
             0.2 * axis.position_limit, 0.2 * axis.max_speed / rate, 0.2 * axis.max_acceleration / rate**2
         )
-        fade = np.sin(np.pi * np.arange(n) / (n - 1)) ** 2
+        # With the fourth power it is at rest at both ends, also where the way is long.
+        fade = np.sin(np.pi * np.arange(n) / (n - 1)) ** 4
         path = size * fade * np.sin(rate * t)
         values = {
             "position": path,
@@ -440,7 +440,7 @@ class LyingStream(Stream):
                 "sway", k // 500 + 1, n // 500, start_ns, axis.period_ns, k, values[k : k + 500]
             )
             self.client.load(chunk, self.now)
-        self.run(1.0 + self.rng.uniform(0.5, 3.0))
+        self.run(1.5 + self.rng.uniform(0.5, 3.0))
         assert self.status.activity == "sequence", (self.status, self.report.sequences)
 
     def find(self) -> Finding:
@@ -458,7 +458,7 @@ class LyingStream(Stream):
             self._begin_sequence()
         else:
             self._sway(self.rng.uniform(0.5, 2.0))
-        injected, begun_ns = self._injected(), self.now_ns
+        injected, begun_ns = lie.drawn(self.rng), self.now_ns
         self._lie(injected, begins=True)
         if lie.kind == "ignored_stop":
             self.client.request(self.rng.choice(("stop", "disable")))

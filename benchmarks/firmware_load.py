@@ -20,11 +20,11 @@ from pathlib import Path
 import numpy as np
 
 from beam_ros.hub.firmware.machine import INSTRUCTION_SHIFT
-from beam_ros.hub.firmware.paced_firmware import PacedFirmware
 from beam_ros.hub.line import protocol
 from beam_ros.hub.line.framing import FrameDecoder
 from beam_ros.hub.parameters import AxisParameters
 from beam_ros.hub.simulated.plant import RigidPlant
+from benchmarks.paced_firmware import PacedFirmware
 
 SECONDS = 2.0
 CYCLES_PER_TICK = 168_000

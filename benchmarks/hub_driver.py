@@ -202,8 +202,8 @@ class Desk:
                 raise SystemExit(f"{what} did not come within {timeout_s:g} s")
             self._spin_once(self._node, timeout_sec=0.01)
 
-    def call(self, service: str, **fields: object) -> tuple[int, int]:
-        """Call a service that must succeed; return when it was called and when it was answered [ns]."""
+    def call(self, service: str, *, must: bool = True, **fields: object) -> tuple[int, int]:
+        """Call a service that ``must`` succeed; return when it was called and when it was answered [ns]."""
         kind = self._types.service_class(SERVICES[service].type_name)
         client = self._node.create_client(kind, service)
         self.wait(client.service_is_ready, service)
@@ -212,7 +212,7 @@ class Desk:
         self.wait(future.done, f"an answer of {service}")
         ended_ns = time.monotonic_ns()
         self._node.destroy_client(client)
-        if not future.result().success:
+        if must and not future.result().success:
             raise SystemExit(f"{service}: {future.result().message}")
         return begun_ns, ended_ns
 
@@ -309,15 +309,19 @@ class Pair(ExitStack):
         Tick [s] of a controller without beam and camera; by default the rig's own, with both.
     taps : bool, optional
         This process sits between the two.
+    shared : sequence of str, optional
+        Parameters of both.
     """
 
-    def __init__(self, bare_period: float | None = None, *, taps: bool = False) -> None:
+    def __init__(
+        self, bare_period: float | None = None, *, taps: bool = False, shared: Sequence[str] = ()
+    ) -> None:
         super().__init__()
         folder = Path(self.enter_context(tempfile.TemporaryDirectory()))
         port = folder / "controller"
         parameters = () if bare_period is None else (f"hub.period:={bare_period}",)
         if bare_period is None:
-            self.emulator = self.start_node("firmware_emulator", f"emulator.port_link:={port}")
+            self.emulator = self.start_node("firmware_emulator", f"emulator.port_link:={port}", *shared)
         else:
             self.emulator = self.start_own("--device", str(port), str(bare_period))
         end = time.monotonic() + 30.0
@@ -330,7 +334,7 @@ class Pair(ExitStack):
             self.tap.start()
             self.callback(self.tap.close)
         name = str(port) if self.tap is None else self.tap.port
-        self.driver = self.start_node("hub_driver", f"serial.port:={name}", *parameters)
+        self.driver = self.start_node("hub_driver", f"serial.port:={name}", *parameters, *shared)
 
     def start_node(self, executable: str, *parameters: str) -> subprocess.Popen[bytes]:
         """Start one of the suite's nodes."""

@@ -188,6 +188,11 @@ class ClockMapping:
         self._rate = 1.0
 
     @property
+    def n_exchanges(self) -> int:
+        """Exchanges of the present window."""
+        return len(self._exchanges)
+
+    @property
     def is_usable(self) -> bool:
         """Whether there are exchanges enough to map anything."""
         return self._fit is not None

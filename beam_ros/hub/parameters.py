@@ -182,6 +182,13 @@ class LinkParameters:
         for name in ("serial_baud", "max_clock_sd_ns"):
             _check_positive(name, getattr(self, name), is_whole=True)
 
+    @property
+    def shortcomings(self) -> tuple[str, ...]:
+        """What is not known of the device behind the port, for people."""
+        if self.prove_watchdog:
+            return ()
+        return ("the controller's watchdog is believed, not proved: axis.prove_watchdog is off",)
+
 
 @dataclass(frozen=True)
 class SimulatedDevice:

@@ -20,7 +20,7 @@ from beam_ros.hub.emulated.dynamixel import EmulatedDynamixel
 from beam_ros.hub.emulated.injected_faults import InjectedFault
 from beam_ros.hub.emulated.line_board import COUNT, LineBoard
 from beam_ros.hub.emulated.odrive import EmulatedOdrive
-from beam_ros.hub.emulated.servo import servo_parameters
+from beam_ros.hub.emulated.servo import ServoAxis, servo_parameters
 from beam_ros.hub.emulated.trajectory_controller import EmulatedTrajectoryController, Waypoints
 from beam_ros.hub.errors import HubParameterError
 from beam_ros.hub.firmware.built_firmware import BuiltFirmware
@@ -125,7 +125,7 @@ def _drive(make: type[EmulatedOdrive] | type[EmulatedDynamixel]) -> Callable[[Ri
         per_turn = rig.axis.metres_per_unit
 
         def boot(device: SimulatedDevice, _boot_id: int) -> Firmware:
-            return make(parameters, plant, device, metres_per_turn=per_turn)
+            return make(ServoAxis(parameters, plant, device), metres_per_turn=per_turn)
 
         return _on_port(rig, parameters, plant, boot)
 
@@ -156,9 +156,9 @@ class _ControllerTopics:
         self._lock = threading.Lock()
         self._cycle_ns = round(1e9 / rig.emulator.controller_rate)
         self._controller = EmulatedTrajectoryController(
-            rig.axis_parameters(),
-            _servo_plant(rig, 0.0),
-            time.time_ns(),
+            ServoAxis(
+                rig.axis_parameters(), _servo_plant(rig, 0.0), SimulatedDevice(clock_start_ns=time.time_ns())
+            ),
             metres_per_unit=rig.axis.metres_per_unit,
         )
         topic = f"{rig.trajectory.controller}/joint_trajectory"

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from beam_ros.hub.conformance import motions
-from beam_ros.hub.conformance.check import Check, require
+from beam_ros.hub.conformance.check import check, require
 from beam_ros.hub.conformance.dialogue import Bench, Dialogue
 from beam_ros.hub.conformance.kinematics import motion, require_ramp
 from beam_ros.hub.conformance.limit_checks import require_way_home
@@ -40,7 +40,6 @@ class _Stopped:
 @contextlib.contextmanager
 def _bench(host: Dialogue) -> Iterator[Bench]:
     """Give the axis into somebody's hands, who leaves it whole."""
-    assert host.bench is not None
     try:
         yield host.bench
     finally:
@@ -84,6 +83,7 @@ def _accident(host: Dialogue, name: str, happen: Callable[[Bench], None], *, sid
     return _Stopped(played.start_tick, ramp_tick)
 
 
+@check("stops on either end switch, not off it, and asks for home", moves=True, needs_bench=True)
 def _end_switches(host: Dialogue) -> None:
     for side, signal, other in (
         (-1, "is_at_low_end", "is_at_high_end"),
@@ -100,6 +100,7 @@ def _end_switches(host: Dialogue) -> None:
             host.must("disable")
 
 
+@check("stops on an alarm of the drive, and asks for home", moves=True, needs_bench=True)
 def _drive_alarm(host: Dialogue) -> None:
     _accident(host, "drive_alarm", _held(has_drive_alarm=True))
     with _bench(host) as bench:
@@ -109,6 +110,7 @@ def _drive_alarm(host: Dialogue) -> None:
             require(host.ask(kind).phase == "failure", f"{kind} worked under an alarm of the drive")
 
 
+@check("stops when the encoder is lost or leaps, and asks for home", moves=True, needs_bench=True)
 def _encoder_lost(host: Dialogue) -> None:
     identity = host.open_session()
     _accident(host, "encoder_lost", _held(is_counter_valid=False))
@@ -118,13 +120,13 @@ def _encoder_lost(host: Dialogue) -> None:
         _accident(host, "encoder_lost", _leaping(offset))
 
 
+@check("stops when the hub does not follow, and asks for home", moves=True, needs_bench=True)
 def _following_error(host: Dialogue) -> None:
     identity = host.open_session()
     if identity.command_mode == "effort":
         return  # Under a force a hub has no reference to follow.
     for side in (-1, 1):
         begun = _accident(host, "following_error", lambda bench: bench.stick(is_stuck=True), side=side)
-        assert host.bench is not None
         allowed = host.bench.max_following_error
         ticks = host.ticks(begun.start_tick, begun.ramp_tick - begun.start_tick)
         moved = motion(host, begun.start_tick, begun.ramp_tick, rests_at="first")
@@ -139,10 +141,12 @@ def _following_error(host: Dialogue) -> None:
         )
 
 
+@check("stops where its drive makes no steps in time, and asks for home", moves=True, needs_bench=True)
 def _steps_lost(host: Dialogue) -> None:
     _accident(host, "following_error", _held(has_lost_steps=True))
 
 
+@check("ends a search for home after the travel, and is not homed", moves=True, needs_bench=True)
 def _home_switch_dead(host: Dialogue) -> None:
     """The travel is narrowed: the search must end after it, and be undone by nothing but a home that is found."""
     for is_below in (True, False):
@@ -170,13 +174,13 @@ def _home_switch_dead(host: Dialogue) -> None:
         host.must("home")
 
 
+@check("finds the same home from either side", moves=True, needs_bench=True)
 def _home_from_both_sides(host: Dialogue) -> None:
     identity = host.open_session()
     for side in (-1, 1):
         _move(host, side, seconds=0.2)
         host.must("disable")
         require_way_home(host)
-        assert host.bench is not None
         off = host.bench.true_position / identity.encoder_resolution
         require(
             abs(off) <= 2,
@@ -184,6 +188,7 @@ def _home_from_both_sides(host: Dialogue) -> None:
         )
 
 
+@check("tells position and speed of the tick that it names", moves=True, needs_bench=True)
 def _sensed(host: Dialogue) -> None:
     """Position and speed belong to their ticks: a hub that has no lag is where its reference is."""
     identity = host.enable(within=0.0)
@@ -214,21 +219,3 @@ def _sensed(host: Dialogue) -> None:
             f"a position in Telemetry is {off:.1f} counts off its tick's reference: expected at most 2",
         )
     host.must("disable")
-
-
-def _checked(name: str, expected: str, run: Callable[[Dialogue], None]) -> Check:
-    return Check(name, expected, run, moves=True, needs_bench=True)
-
-
-CHECKS: tuple[Check, ...] = (
-    _checked("sensed", "tells position and speed of the tick that it names", _sensed),
-    _checked("home_from_both_sides", "finds the same home from either side", _home_from_both_sides),
-    _checked("end_switches", "stops on either end switch, not off it, and asks for home", _end_switches),
-    _checked("drive_alarm", "stops on an alarm of the drive, and asks for home", _drive_alarm),
-    _checked("encoder_lost", "stops when the encoder is lost or leaps, and asks for home", _encoder_lost),
-    _checked("following_error", "stops when the hub does not follow, and asks for home", _following_error),
-    _checked("steps_lost", "stops where its drive makes no steps in time, and asks for home", _steps_lost),
-    _checked(
-        "home_switch_dead", "ends a search for home after the travel, and is not homed", _home_switch_dead
-    ),
-)

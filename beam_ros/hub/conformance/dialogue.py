@@ -92,8 +92,8 @@ class Dialogue:
 
     Attributes
     ----------
-    identity, status : Identity, Status or None
-        The newest of each.
+    status : Status or None
+        The newest.
     limits : DeviceLimits
         What the checks ask the device to obey: the widest, with a watchdog that does not take long, and a stop
         ramp that lasts long enough to be measured.
@@ -102,8 +102,8 @@ class Dialogue:
     """
 
     def __init__(self, line: DeviceLine, bench: Bench | None = None) -> None:
-        self.bench = bench
-        self.identity: protocol.Identity | None = None
+        self._bench = bench
+        self._identity: protocol.Identity | None = None
         self.status: protocol.Status | None = None
         self.limits = protocol.DeviceLimits()
         self.oddities: dict[str, str] = {}
@@ -114,6 +114,19 @@ class Dialogue:
         self._beat_ns = 0
         self._number = 0
         self._may_enable = False
+
+    @property
+    def identity(self) -> protocol.Identity:
+        """What the device said last that it is."""
+        if self._identity is None:
+            raise ConformanceError("no Identity has come")
+        return self._identity
+
+    @property
+    def bench(self) -> Bench:
+        """The axis, for checks that need one which is not real."""
+        assert self._bench is not None
+        return self._bench
 
     # Talking ------------------------------------------------------------------------------------------
 
@@ -183,12 +196,12 @@ class Dialogue:
     def open_session(self) -> protocol.Identity:
         """Greet the device, and return what it says it is."""
         self.say(protocol.Hello())
-        identity = self.until(_only(protocol.Identity), "Identity")
+        identity = self.until(only(protocol.Identity), "Identity")
         if identity.version != protocol.VERSION:
             raise ConformanceError(
                 f"Identity names version {identity.version} for this connection: expected {protocol.VERSION}"
             )
-        self.until(_only(protocol.Status), "Status after Identity")
+        self.until(only(protocol.Status), "Status after Identity")
         widest = identity.widest
         self.limits = replace(
             widest,
@@ -205,10 +218,7 @@ class Dialogue:
         """Hand limits over, and return what the device answers."""
         number = self.next_number()
         self.say(protocol.SetLimits(number, limits))
-        return self.until(
-            lambda m: m.limits if isinstance(m, protocol.LimitsReply) and m.number == number else None,
-            "LimitsReply",
-        )
+        return self.until(only(protocol.LimitsReply, number=number), "LimitsReply").limits
 
     def obey(self, limits: protocol.DeviceLimits) -> None:
         """Hand limits over that the device must take."""
@@ -224,13 +234,7 @@ class Dialogue:
         """Make a request, and return how it ended."""
         number = self.next_number() if number is None else number
         self.say(protocol.Request(number, kind))
-
-        def ended(message: protocol.Message) -> protocol.RequestReply | None:
-            if isinstance(message, protocol.RequestReply) and message.number == number:
-                return None if message.phase == "pending" else message
-            return None
-
-        return self.until(ended, f"the end of the request {kind}", MOVE_S)
+        return self.until(end_of(number), f"the end of the request {kind}", MOVE_S)
 
     def must(self, kind: RequestKind) -> None:
         """Make a request that must succeed."""
@@ -260,11 +264,15 @@ class Dialogue:
         self.must("enable")
         return identity
 
-    def wait_for_rest(self, *, alive: bool = True, seconds: float | None = None) -> protocol.Status:
-        """Wait until the axis rests and is disabled; by default as long as its ramp and its watchdog may take."""
-        status = self.status
-        if status is not None and is_at_rest(status):
-            return status
+    def wait_for_rest(
+        self, *, alive: bool = True, seconds: float | None = None, since: int | None = None
+    ) -> protocol.Status:
+        """Wait until the axis rests and is disabled; by default as long as its ramp and its watchdog may take.
+
+        What came after ``since``, a ``mark``, counts; by default the newest status.
+        """
+        if since is None and self.status is not None and is_at_rest(self.status):
+            return self.status
         if seconds is None:
             ramp_s = self.limits.max_speed / max(self.limits.stop_deceleration, 1e-9)
             seconds = min(ramp_s + 2e-9 * self.limits.watchdog_ns + 4 * ANSWER_S, MOVE_S)
@@ -273,6 +281,7 @@ class Dialogue:
             "a Status with the axis at rest and disabled",
             seconds,
             alive=alive,
+            since=since,
         )
 
     def newest_status(self) -> protocol.Status:
@@ -288,27 +297,23 @@ class Dialogue:
         """
         self.clock()
         self.say(protocol.Samples(0, 0xFFFFFFFF, _ONE_SAMPLE))
-        return self.until(_only(protocol.Status), "Status after Samples")
+        return self.until(only(protocol.Status), "Status after Samples")
 
     def clock(self, what: str = "ClockReply") -> ClockExchange:
         """Ask for the device's clock; ``what`` says what does not come."""
         number = self.next_number()
         begin_ns = self._line.now_ns()
         self.say(protocol.ClockQuery(number))
-        reply = self.until(
-            lambda m: m if isinstance(m, protocol.ClockReply) and m.number == number else None, what
-        )
+        reply = self.until(only(protocol.ClockReply, number=number), what)
         end_ns = self._line.now_ns()
         return ClockExchange(reply, (begin_ns + end_ns) // 2, end_ns - begin_ns)
 
     def position(self) -> float:
         """Return where the hub was by the newest status [m]."""
-        assert self.identity is not None
         return self.newest_status().position_count * self.identity.encoder_resolution
 
     def period_s(self) -> float:
         """Return the device's tick [s]."""
-        assert self.identity is not None
         return self.identity.period_ns * 1e-9
 
     def ticks(self, first: int, n: int, *, alive: bool = True) -> TickBatch:
@@ -348,12 +353,12 @@ class Dialogue:
             self._note_batch(message.ticks)
 
     def _note_identity(self, identity: protocol.Identity) -> None:
-        if self.identity is not None and identity.boot_id != self.identity.boot_id:
+        if self._identity is not None and identity.boot_id != self._identity.boot_id:
             self.oddities.setdefault(
-                "no_restart", f"the boot id changed from {self.identity.boot_id} to {identity.boot_id}"
+                "no_restart", f"the boot id changed from {self._identity.boot_id} to {identity.boot_id}"
             )
         if identity.version:
-            self.identity = identity
+            self._identity = identity
 
     def _note_status(self, status: protocol.Status) -> None:
         before, self.status = self.status, status
@@ -371,10 +376,10 @@ class Dialogue:
             )
 
     def _note_batch(self, batch: TickBatch) -> None:
-        if self.identity is not None and len(batch) != self.identity.batch_ticks:
+        if self._identity is not None and len(batch) != self._identity.batch_ticks:
             self.oddities.setdefault(
                 "batches",
-                f"a batch of {len(batch)} ticks: expected {self.identity.batch_ticks} as Identity says",
+                f"a batch of {len(batch)} ticks: expected {self._identity.batch_ticks} as Identity says",
             )
         if self._batches and batch.first_tick < self._batches[-1].first_tick + len(self._batches[-1]):
             self.oddities.setdefault("batches", f"tick {batch.first_tick} was sent twice")
@@ -410,5 +415,20 @@ def is_at_rest(status: protocol.Status) -> bool:
     return status.activity == "idle" and status.state != "enabled"
 
 
-def _only(kind: type[_Answer]) -> Callable[[protocol.Message], _Answer | None]:
-    return lambda message: message if isinstance(message, kind) else None
+def only(kind: type[_Answer], **wanted: object) -> Callable[[protocol.Message], _Answer | None]:
+    """Return what picks the messages of a type whose fields have these values."""
+
+    def pick(message: protocol.Message) -> _Answer | None:
+        if isinstance(message, kind) and all(
+            getattr(message, name) == value for name, value in wanted.items()
+        ):
+            return message
+        return None
+
+    return pick
+
+
+def end_of(number: int) -> Callable[[protocol.Message], protocol.RequestReply | None]:
+    """Return what picks the last reply to a request."""
+    reply = only(protocol.RequestReply, number=number)
+    return lambda message: None if (found := reply(message)) is None or found.phase == "pending" else found

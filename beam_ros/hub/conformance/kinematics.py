@@ -64,7 +64,6 @@ class MeasuredMotion:
 def motion(host: Dialogue, first: int, last: int, *, rests_at: Literal["first", "last"]) -> MeasuredMotion:
     """Return the reference's motion from tick ``first`` to tick ``last``; at one of them the axis rests."""
     identity, period = host.identity, host.period_s()
-    assert identity is not None
     n = last - first
     # The last batch may still be on its way; it comes as long as a silence is young.
     if identity.command_mode == "acceleration":
@@ -81,7 +80,6 @@ def motion(host: Dialogue, first: int, last: int, *, rests_at: Literal["first", 
 def encoder_motion(host: Dialogue, first: int, last: int, *, ticks_per_step: int) -> MeasuredMotion:
     """Return the measured motion from tick ``first`` to tick ``last``, in mean speeds of some ticks each."""
     identity = host.identity
-    assert identity is not None
     step_s = ticks_per_step * host.period_s()
     counts = host.ticks(first, last - first, alive=False).position_counts[::ticks_per_step]
     speeds = np.diff(counts) * identity.encoder_resolution / step_s
@@ -92,7 +90,6 @@ def encoder_motion(host: Dialogue, first: int, last: int, *, ticks_per_step: int
 def profile_motion(host: Dialogue, first: int, last: int, acceleration: float) -> MeasuredMotion:
     """Return a motion from rest, by the reference or, under a force, in steps that know its acceleration to 1 %."""
     identity = host.identity
-    assert identity is not None
     if identity.command_mode != "effort":
         return motion(host, first, last, rests_at="first")
     step_s = math.sqrt(2 * identity.encoder_resolution / (0.01 * acceleration))
@@ -133,7 +130,6 @@ def require_ramp(host: Dialogue, first: int, last: int, *, is_begun: bool = True
         The tick at which the ramp began; ``first`` under a force.
     """
     identity = host.identity
-    assert identity is not None
     declared = host.limits.stop_deceleration
     if identity.command_mode == "effort":
         _require_measured_ramp(host, first, last)
@@ -165,7 +161,6 @@ def require_ramp(host: Dialogue, first: int, last: int, *, is_begun: bool = True
 def _require_measured_ramp(host: Dialogue, first: int, last: int) -> None:
     """The same by the encoder: from the mean speeds of two stretches before the rest, well within the ramp."""
     identity, period = host.identity, host.period_s()
-    assert identity is not None
     declared = host.limits.stop_deceleration
     counts = host.ticks(first, last - first, alive=False).position_counts
     resolution = identity.encoder_resolution
@@ -188,7 +183,6 @@ def _require_measured_ramp(host: Dialogue, first: int, last: int) -> None:
 def require_followed(host: Dialogue, first: int, last: int) -> None:
     """Require that the encoder shows the way that ``applied`` names, between two ticks at which the axis rests."""
     identity = host.identity
-    assert identity is not None
     if identity.command_mode == "effort":
         return  # A force names no way.
     counts = host.ticks(first, last - first + 1, alive=False).position_counts

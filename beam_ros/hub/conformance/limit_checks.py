@@ -11,8 +11,8 @@ import numpy as np
 
 from beam_ros.arrays import FloatArray
 from beam_ros.hub.conformance import motions
-from beam_ros.hub.conformance.check import Check, require
-from beam_ros.hub.conformance.dialogue import ANSWER_S, Dialogue, is_at_rest
+from beam_ros.hub.conformance.check import check, require
+from beam_ros.hub.conformance.dialogue import ANSWER_S, Dialogue, only
 from beam_ros.hub.conformance.kinematics import (
     SLACK,
     profile_motion,
@@ -21,7 +21,7 @@ from beam_ros.hub.conformance.kinematics import (
     require_ramp,
 )
 from beam_ros.hub.conformance.motion_checks import EDGE, stopped_by
-from beam_ros.hub.conformance.playing import AHEAD_S, Played, arm, play, start_in
+from beam_ros.hub.conformance.playing import Played, begin, play, send
 from beam_ros.hub.host.motion_watch import NOISE_COUNTS
 from beam_ros.hub.line import protocol
 from beam_ros.hub.ticks import TickBatch
@@ -40,6 +40,7 @@ def cruise(host: Dialogue) -> Played:
     return play(host, values, until_tick=round(1.2 * motions.RISE_S / host.period_s()))
 
 
+@check("keeps the stop ramp's deceleration to rest, when it is asked to", moves=True)
 def _stop_ramp(host: Dialogue) -> None:
     for kind in ("stop", "disable"):
         played = cruise(host)
@@ -50,25 +51,17 @@ def _stop_ramp(host: Dialogue) -> None:
         require_followed(host, played.start_tick, status.tick)
 
 
+@check("keeps the ramp of the limits that a session had, when it ends or another begins", moves=True)
 def _session_ramp(host: Dialogue) -> None:
     """The limits are forgotten with the session; a ramp that runs keeps those that it began with."""
     for words in ((protocol.Hello(),), (protocol.Goodbye(), protocol.Hello())):
         cruise(host)
         mark = host.mark()
         host.say(*words)
-        host.until(lambda m: m if isinstance(m, protocol.Identity) else None, "Identity", since=mark)
+        host.until(only(protocol.Identity), "Identity", since=mark)
         seen = [k for k, m in enumerate(host.since(mark)) if isinstance(m, protocol.Identity)][-1]
-        begun = host.until(
-            lambda m: m.tick if isinstance(m, protocol.Status) else None,
-            "Status after Identity",
-            since=mark + seen,
-        )
-        status = host.until(
-            lambda m: m if isinstance(m, protocol.Status) and is_at_rest(m) else None,
-            "a Status with the axis at rest and disabled",
-            2 * ANSWER_S,
-            since=mark + seen,
-        )
+        begun = host.until(only(protocol.Status), "Status after Identity", since=mark + seen).tick
+        status = host.wait_for_rest(seconds=2 * ANSWER_S, since=mark + seen)
         require_ramp(host, begun, status.tick)
 
 
@@ -80,6 +73,7 @@ def _speed_within(way: float, speed: float, acceleration: float) -> float:
     return min(speed, math.sqrt(0.5 * way * acceleration))
 
 
+@check("homes with the speed and the acceleration that it was handed", moves=True)
 def _way_home(host: Dialogue) -> None:
     identity = host.enable(within=0.0)
     play(host, motions.shift(identity, round(0.4 / host.period_s()), host.position()))
@@ -99,6 +93,7 @@ def require_way_home(host: Dialogue) -> None:
     require_profile(profile_motion(host, first, last, acceleration), speed, acceleration, "it homed")
 
 
+@check("moves to set-points as its mode and its limits say", moves=True)
 def _moves(host: Dialogue) -> None:
     identity = host.go_home(within=0.0)
     mode = identity.command_mode
@@ -151,13 +146,9 @@ def _load(host: Dialogue, samples: _Samples, limits: protocol.DeviceLimits) -> t
     host.obey(limits)
     host.must("enable")
     values = samples(host.position())
-    start_tick = start_in(host, AHEAD_S)
-    number = host.next_number()
-    require(arm(host, len(values), start_tick, number).is_accepted, "a sequence was refused")
-    there = min(len(values), identity.buffer_samples)
-    for first in range(0, there, protocol.MAX_SAMPLES):
-        host.say(protocol.Samples(number, first, values[first : min(first + protocol.MAX_SAMPLES, there)]))
-    return start_tick, len(values)
+    played = begin(host, len(values))
+    send(host, played.number, values[: identity.buffer_samples])
+    return played.start_tick, len(values)
 
 
 def breach(
@@ -202,13 +193,15 @@ def broken_cruise(identity: protocol.Identity, value: float) -> _Samples:
     return samples
 
 
+@check("ends in fault where a sample is not a number", moves=True)
 def _not_finite(host: Dialogue) -> None:
     identity = host.open_session()
     for value in (math.nan, math.inf):
         breach(host, broken_cruise(identity, value), host.limits, "command_not_finite")
 
 
-def _edges(host: Dialogue) -> None:
+@check("follows commands up to its limits, and ends in fault beyond them", moves=True)
+def _limit_edges(host: Dialogue) -> None:
     identity = host.go_home(within=0.02)
     if identity.command_mode == "effort":
         _effort_edges(host)
@@ -246,7 +239,6 @@ def _edges(host: Dialogue) -> None:
 def _effort_edges(host: Dialogue) -> None:
     """The mass is not known: the force is gentle, and the greatest speed is a tenth of a travel a second."""
     identity, limits = host.identity, host.limits
-    assert identity is not None
     spike = np.zeros(60)
     spike[20], spike[40] = 1.0, -1.0
     force = motions.led(identity, spike, 0.0)
@@ -269,6 +261,7 @@ def _effort_edges(host: Dialogue) -> None:
     )
 
 
+@check("uses its travel, and stops within it, in fault", moves=True)
 def _beyond_travel(host: Dialogue) -> None:
     """The travel is narrowed to a tenth for this: a device that ignores it comes to no end."""
     identity = host.go_home(within=0.0)
@@ -303,26 +296,3 @@ def _beyond_travel(host: Dialogue) -> None:
         farthest >= half - rounding - 2 * fastest,
         f"the hub was stopped {farthest:.6f} m from home: expected it to use its {half:.6f} m to either side",
     )
-
-
-CHECKS: tuple[Check, ...] = (
-    Check(
-        "stop_ramp", "keeps the stop ramp's deceleration to rest, when it is asked to", _stop_ramp, moves=True
-    ),
-    Check(
-        "session_ramp",
-        "keeps the ramp of the limits that a session had, when it ends or another begins",
-        _session_ramp,
-        moves=True,
-    ),
-    Check("way_home", "homes with the speed and the acceleration that it was handed", _way_home, moves=True),
-    Check("moves", "moves to set-points as its mode and its limits say", _moves, moves=True),
-    Check("not_finite", "ends in fault where a sample is not a number", _not_finite, moves=True),
-    Check(
-        "limit_edges",
-        "follows commands up to its limits, and ends in fault beyond them",
-        _edges,
-        moves=True,
-    ),
-    Check("beyond_travel", "uses its travel, and stops within it, in fault", _beyond_travel, moves=True),
-)

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from beam_ros.hub.conformance.check import Check, require
-from beam_ros.hub.conformance.dialogue import ANSWER_S, Dialogue
+from beam_ros.hub.conformance.check import check, require
+from beam_ros.hub.conformance.dialogue import ANSWER_S, Dialogue, only
 from beam_ros.hub.conformance.misfits import misfits, valid_frames
 from beam_ros.hub.line import protocol
 from beam_ros.hub.line.framing import MAX_PAYLOAD, encode_frame
@@ -25,6 +25,7 @@ def _answers(host: Dialogue, after: str) -> None:
     host.clock(f"ClockReply after {after}")
 
 
+@check("goes on after noise, which changes nothing")
 def _noise(host: Dialogue) -> None:
     host.prepare()
     before = host.fresh_status()
@@ -37,6 +38,7 @@ def _noise(host: Dialogue) -> None:
     require(after.state == before.state, f"noise made the axis {after.state}")
 
 
+@check("answers no frame with a wrong bit")
 def _flipped_bits(host: Dialogue) -> None:
     host.prepare()
     good = protocol.encode(protocol.Request(host.next_number(), "clear_fault"))
@@ -51,6 +53,7 @@ def _flipped_bits(host: Dialogue) -> None:
     _answers(host, "frames with wrong bits")
 
 
+@check("drops frames of unknown types, and with bodies that do not fit")
 def _odd_bodies(host: Dialogue) -> None:
     host.prepare()
     before = host.fresh_status()
@@ -74,6 +77,7 @@ def _odd_bodies(host: Dialogue) -> None:
         )
 
 
+@check("takes 2048 bytes, drops more, and goes on")
 def _long_frames(host: Dialogue) -> None:
     host.prepare()
     host.say_bytes(encode_frame(b"\x7f" * MAX_PAYLOAD))
@@ -82,9 +86,10 @@ def _long_frames(host: Dialogue) -> None:
     _answers(host, "a frame that is too long")
     number = host.next_number()
     host.say(protocol.Samples(number, 0, np.zeros(protocol.MAX_SAMPLES)))
-    host.until(lambda m: m if isinstance(m, protocol.Status) else None, "Status after 100 samples")
+    host.until(only(protocol.Status), "Status after 100 samples")
 
 
+@check("takes frames byte by byte, and several in one piece")
 def _pieces(host: Dialogue) -> None:
     host.prepare()
     number, mark = host.next_number(), host.mark()
@@ -92,7 +97,7 @@ def _pieces(host: Dialogue) -> None:
         host.say_bytes(bytes((byte,)))
         host.listen(0.002, alive=False)
     host.until(
-        lambda m: m if isinstance(m, protocol.ClockReply) and m.number == number else None,
+        only(protocol.ClockReply, number=number),
         "ClockReply to a frame that came byte by byte",
         since=mark,
     )
@@ -110,7 +115,8 @@ def _pieces(host: Dialogue) -> None:
     host.until(all_answered, "ClockReply to each of five frames in one piece")
 
 
-def _not_fed(host: Dialogue) -> None:
+@check("counts a silence although frames come that do not fit, in every way")
+def _watchdog_not_fed(host: Dialogue) -> None:
     """Frames that are not valid must not keep an axis alive, whatever is wrong with them."""
     host.prepare()
     for name, frame in misfits(host.limits).items():
@@ -122,7 +128,8 @@ def _not_fed(host: Dialogue) -> None:
         require(silences == (before.silences + 1) & 0xFFFF, f"{name} fed the watchdog")
 
 
-def _fed(host: Dialogue) -> None:
+@check("counts no silence while valid frames of any one type come")
+def _watchdog_fed(host: Dialogue) -> None:
     host.prepare()
     number = host.next_number()
     for name, frame in valid_frames(host.limits, number).items():
@@ -133,6 +140,7 @@ def _fed(host: Dialogue) -> None:
         require(host.newest_status().silences == before.silences, f"{name} did not feed the watchdog")
 
 
+@check("answers ClockQuery with a clock that never goes back")
 def _clock(host: Dialogue) -> None:
     host.prepare()
     readings = []
@@ -146,6 +154,7 @@ def _clock(host: Dialogue) -> None:
     require(readings == sorted(readings), "the device's clock ran backwards")
 
 
+@check("has seconds that are seconds")
 def _clock_rate(host: Dialogue) -> None:
     """The middle of an exchange is known to half its duration, at both ends of a second."""
     host.prepare()
@@ -163,6 +172,7 @@ def _clock_rate(host: Dialogue) -> None:
     )
 
 
+@check("begins tick k at k periods by its own clock")
 def _clock_and_ticks(host: Dialogue) -> None:
     identity = host.prepare()
     for _ in range(10):
@@ -177,6 +187,7 @@ def _clock_and_ticks(host: Dialogue) -> None:
         host.listen(0.013)
 
 
+@check("sends every tick once, in batches, each with a Status")
 def _telemetry(host: Dialogue) -> None:
     identity = host.prepare()
     first = host.fresh_status().tick
@@ -189,6 +200,7 @@ def _telemetry(host: Dialogue) -> None:
     require(statuses >= expected, f"{statuses} Status in 0.3 s: expected one with each of {expected} batches")
 
 
+@check("pushes until the host has been silent for a second, and no longer")
 def _telemetry_ends(host: Dialogue) -> None:
     host.prepare()
     host.say(protocol.Heartbeat())
@@ -202,27 +214,7 @@ def _telemetry_ends(host: Dialogue) -> None:
     require(pushed == 0, f"{pushed} Telemetry after more than a second of silence: expected none")
     host.say(protocol.Heartbeat())
     host.until(
-        lambda m: m if isinstance(m, protocol.Telemetry) else None,
+        only(protocol.Telemetry),
         "Telemetry after the silence",
         2 * ANSWER_S,
     )
-
-
-CHECKS = (
-    Check("noise", "goes on after noise, which changes nothing", _noise),
-    Check("flipped_bits", "answers no frame with a wrong bit", _flipped_bits),
-    Check("odd_bodies", "drops frames of unknown types, and with bodies that do not fit", _odd_bodies),
-    Check("long_frames", "takes 2048 bytes, drops more, and goes on", _long_frames),
-    Check("pieces", "takes frames byte by byte, and several in one piece", _pieces),
-    Check(
-        "watchdog_not_fed", "counts a silence although frames come that do not fit, in every way", _not_fed
-    ),
-    Check("watchdog_fed", "counts no silence while valid frames of any one type come", _fed),
-    Check("clock", "answers ClockQuery with a clock that never goes back", _clock),
-    Check("clock_rate", "has seconds that are seconds", _clock_rate),
-    Check("clock_and_ticks", "begins tick k at k periods by its own clock", _clock_and_ticks),
-    Check("telemetry", "sends every tick once, in batches, each with a Status", _telemetry),
-    Check(
-        "telemetry_ends", "pushes until the host has been silent for a second, and no longer", _telemetry_ends
-    ),
-)

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from beam_ros.hub.conformance import motions
-from beam_ros.hub.conformance.check import Check, require
-from beam_ros.hub.conformance.dialogue import Dialogue
+from beam_ros.hub.conformance.check import check, require
+from beam_ros.hub.conformance.dialogue import Dialogue, only
 from beam_ros.hub.conformance.kinematics import require_followed, require_ramp
 from beam_ros.hub.conformance.playing import play
 from beam_ros.hub.faults import fault
@@ -32,15 +32,13 @@ def stopped_by(status: protocol.Status, *names: str) -> None:
     )
 
 
+@check("homes, says pending and then success, and stands at 0", moves=True)
 def _homing(host: Dialogue) -> None:
     identity = host.go_home()
     number = host.next_number()
     host.say(protocol.Request(number, "home"))
-    phase = host.until(
-        lambda m: m.phase if isinstance(m, protocol.RequestReply) and m.number == number else None,
-        "RequestReply",
-    )
-    require(phase != "failure", "home failed at once")
+    reply = host.until(only(protocol.RequestReply, number=number), "RequestReply")
+    require(reply.phase != "failure", "home failed at once")
     reply = host.ask("home", number)
     require(reply.phase == "success", f"home ended with {reply.phase} {reply.text!r}")
     status = host.wait_for_rest()
@@ -51,6 +49,7 @@ def _homing(host: Dialogue) -> None:
     )
 
 
+@check("enables, disables and stops on request, and then is homed", moves=True)
 def _enabling(host: Dialogue) -> None:
     host.enable()
     status = host.fresh_status()
@@ -64,6 +63,7 @@ def _enabling(host: Dialogue) -> None:
     require(status.fault_number == 0, f"fault {status.fault_number} after a stop that was asked for")
 
 
+@check("does a request once, and answers it again", moves=True)
 def _repeated_request(host: Dialogue) -> None:
     host.go_home(within=0.02)
     enabling = host.next_number()
@@ -85,6 +85,7 @@ def _repeated_request(host: Dialogue) -> None:
     )
 
 
+@check("answers a request that changes nothing, as often as it is asked")
 def _no_fault(host: Dialogue) -> None:
     host.prepare()
     number = host.next_number()
@@ -94,6 +95,7 @@ def _no_fault(host: Dialogue) -> None:
         require(host.ask("clear_fault", number) == first, "a repeated request has another answer")
 
 
+@check("follows set-points, and names the newest", moves=True)
 def _setpoints(host: Dialogue) -> None:
     identity = host.enable()
     value = motions.setpoint(identity, host.position())
@@ -114,6 +116,9 @@ def _setpoints(host: Dialogue) -> None:
     host.must("disable")
 
 
+@check(
+    "refuses and counts set-points beyond the limit, that are no numbers, or come while disabled", moves=True
+)
 def _refused_setpoints(host: Dialogue) -> None:
     identity = host.go_home(within=0.02)
     gentle = abs(motions.setpoint(identity, host.position()))
@@ -140,6 +145,7 @@ def _refused_setpoints(host: Dialogue) -> None:
     require(status.setpoints_refused == (refused + 1) & 0xFFFF, "a set-point was taken by a disabled axis")
 
 
+@check("stops when a set-point is not refreshed; a position holds", moves=True)
 def _old_setpoint(host: Dialogue) -> None:
     """The same number again is the same set-point: it does not refresh it."""
     identity = host.enable()
@@ -164,6 +170,7 @@ def _old_setpoint(host: Dialogue) -> None:
         _require_in_time(host, begun * identity.period_ns - told_ns)
 
 
+@check("counts every silence once, in time, also at rest")
 def _silence_at_rest(host: Dialogue) -> None:
     identity = host.prepare()
     for _ in range(2):
@@ -190,7 +197,6 @@ def _require_in_time(host: Dialogue, silent_ns: int) -> None:
 def _fall_silent(host: Dialogue) -> None:
     """Say nothing more until the axis rests, and look at how it got there."""
     identity = host.identity
-    assert identity is not None
     before = host.fresh_status()
     fed_ns = host.clock().reply.received_ns
     status = host.wait_for_rest(alive=False, seconds=host.limits.watchdog_ns * 1e-9 + 0.7)
@@ -205,6 +211,7 @@ def _fall_silent(host: Dialogue) -> None:
     stopped_by(after, "host_silent")
 
 
+@check("is disabled by silence while it holds", moves=True)
 def _silence_while_holding(host: Dialogue) -> None:
     host.enable()
     _fall_silent(host)
@@ -217,6 +224,7 @@ def _silence_while_holding(host: Dialogue) -> None:
     host.must("disable")
 
 
+@check("stops by its ramp on silence while following", moves=True)
 def _silence_while_following(host: Dialogue) -> None:
     identity = host.enable()
     value = motions.setpoint(identity, host.position())
@@ -242,6 +250,7 @@ def _silence_while_following(host: Dialogue) -> None:
     require_ramp(host, due - 2, status.tick, is_begun=False)
 
 
+@check("stops by its ramp on silence in a sequence", moves=True)
 def _silence_while_running(host: Dialogue) -> None:
     identity = host.enable()
     watchdog_ticks = round(host.limits.watchdog_ns / identity.period_ns)
@@ -261,6 +270,7 @@ def _silence_while_running(host: Dialogue) -> None:
         require_followed(host, played.start_tick, status.tick)
 
 
+@check("stops by its ramp on silence while homing", moves=True)
 def _silence_while_homing(host: Dialogue) -> None:
     identity = host.enable()
     play(host, motions.shift(identity, round(0.4 / host.period_s()), host.position()))
@@ -270,7 +280,7 @@ def _silence_while_homing(host: Dialogue) -> None:
     number = host.next_number()
     host.say(protocol.Request(number, "home"))
     host.until(
-        lambda m: m if isinstance(m, protocol.Status) and m.activity == "homing" else None,
+        only(protocol.Status, activity="homing"),
         "Status while homing",
     )
     _fall_silent(host)
@@ -279,10 +289,12 @@ def _silence_while_homing(host: Dialogue) -> None:
     require(reply.phase == "failure", f"the request home ended with {reply.phase}: expected failure")
 
 
+@check("stops and is disabled by a new session", moves=True)
 def _hello_stops(host: Dialogue) -> None:
     _stops_on(host, protocol.Hello(), "session_opened")
 
 
+@check("stops and is disabled by the end of its session", moves=True)
 def _goodbye_stops(host: Dialogue) -> None:
     _stops_on(host, protocol.Goodbye(), "session_closed")
 
@@ -295,8 +307,8 @@ def _stops_on(host: Dialogue, word: protocol.Message, name: str) -> None:
     if isinstance(word, protocol.Goodbye):
         host.listen(0.3, alive=False)
         host.say(protocol.Hello())
-    host.until(lambda m: m if isinstance(m, protocol.Identity) else None, "Identity")
-    host.until(lambda m: m if isinstance(m, protocol.Status) else None, "Status")
+    host.until(only(protocol.Identity), "Identity")
+    host.until(only(protocol.Status), "Status")
     status = host.wait_for_rest()
     require(status.state == "homed", f"the axis is {status.state}: expected homed")
     stopped_by(status, name)
@@ -306,45 +318,3 @@ def _stops_on(host: Dialogue, word: protocol.Message, name: str) -> None:
     )
     reply = host.ask("enable")
     require(reply.phase == "failure", "enable worked although the new session has no limits")
-
-
-CHECKS = (
-    Check("no_fault", "answers a request that changes nothing, as often as it is asked", _no_fault),
-    Check("homing", "homes, says pending and then success, and stands at 0", _homing, moves=True),
-    Check("enabling", "enables, disables and stops on request, and then is homed", _enabling, moves=True),
-    Check("repeated_request", "does a request once, and answers it again", _repeated_request, moves=True),
-    Check("setpoints", "follows set-points, and names the newest", _setpoints, moves=True),
-    Check(
-        "refused_setpoints",
-        "refuses and counts set-points beyond the limit, that are no numbers, or come while disabled",
-        _refused_setpoints,
-        moves=True,
-    ),
-    Check(
-        "old_setpoint",
-        "stops when a set-point is not refreshed; a position holds",
-        _old_setpoint,
-        moves=True,
-    ),
-    Check("silence_at_rest", "counts every silence once, in time, also at rest", _silence_at_rest),
-    Check(
-        "silence_while_holding", "is disabled by silence while it holds", _silence_while_holding, moves=True
-    ),
-    Check(
-        "silence_while_following",
-        "stops by its ramp on silence while following",
-        _silence_while_following,
-        True,
-    ),
-    Check(
-        "silence_while_running",
-        "stops by its ramp on silence in a sequence",
-        _silence_while_running,
-        moves=True,
-    ),
-    Check(
-        "silence_while_homing", "stops by its ramp on silence while homing", _silence_while_homing, moves=True
-    ),
-    Check("hello_stops", "stops and is disabled by a new session", _hello_stops, moves=True),
-    Check("goodbye_stops", "stops and is disabled by the end of its session", _goodbye_stops, moves=True),
-)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from beam_ros.arrays import FloatArray
 from beam_ros.hub.conformance.check import require
-from beam_ros.hub.conformance.dialogue import ANSWER_S, Dialogue
+from beam_ros.hub.conformance.dialogue import ANSWER_S, Dialogue, only
 from beam_ros.hub.line import protocol
 
 AHEAD_S = 0.25
@@ -42,7 +42,6 @@ def arm(
 ) -> protocol.ArmReply:
     """Announce a sequence, and return the answer; ``is_on_tick``: for the tick's own time, not one before it."""
     identity = host.identity
-    assert identity is not None
     number = host.next_number() if number is None else number
     if start_tick is None:
         start_tick = start_in(host, AHEAD_S)
@@ -50,9 +49,24 @@ def arm(
     early_ns = 0 if is_on_tick else identity.period_ns // 3
     start_ns = max(start_tick * identity.period_ns - early_ns, 0)
     host.say(protocol.Arm(number, start_ns, n_samples))
-    return host.until(
-        lambda m: m if isinstance(m, protocol.ArmReply) and m.number == number else None, "ArmReply"
-    )
+    return host.until(only(protocol.ArmReply, number=number), "ArmReply")
+
+
+def begin(
+    host: Dialogue, n_samples: int, start_tick: int | None = None, *, is_on_tick: bool = False
+) -> Played:
+    """Announce a sequence that must be accepted; by default for a quarter of a second from now."""
+    start_tick = start_in(host, AHEAD_S) if start_tick is None else start_tick
+    number = host.next_number()
+    answer = arm(host, n_samples, start_tick, number, is_on_tick=is_on_tick)
+    require(answer.is_accepted, f"a sequence was refused: {answer.text!r}")
+    return Played(number, start_tick)
+
+
+def send(host: Dialogue, number: int, values: FloatArray) -> None:
+    """Send the first samples of a sequence in one go, whatever the device has room for."""
+    for first in range(0, len(values), protocol.MAX_SAMPLES):
+        host.say(protocol.Samples(number, first, values[first : first + protocol.MAX_SAMPLES]))
 
 
 def start_in(host: Dialogue, seconds: float) -> int:
@@ -62,18 +76,9 @@ def start_in(host: Dialogue, seconds: float) -> int:
 
 def play(host: Dialogue, values: FloatArray, *, until_tick: int | None = None) -> Played:
     """Send a sequence by the device's credit, and wait until it is done, or has come to a tick of its own."""
-    start_tick = start_in(host, AHEAD_S)
-    number = host.next_number()
-    answer = arm(host, len(values), start_tick, number)
-    require(answer.is_accepted, f"a sequence was refused: {answer.text!r}")
-    stream(
-        host,
-        number,
-        values,
-        start_tick if until_tick is None else start_tick + until_tick,
-        until_tick is None,
-    )
-    return Played(number, start_tick)
+    played = begin(host, len(values))
+    stream(host, played.number, values, played.start_tick + (until_tick or 0), until_tick is None)
+    return played
 
 
 def stream(host: Dialogue, number: int, values: FloatArray, end_tick: int, to_end: bool) -> None:

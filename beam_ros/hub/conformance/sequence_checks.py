@@ -6,11 +6,11 @@ import numpy as np
 
 from beam_ros.arrays import FloatArray
 from beam_ros.hub.conformance import motions
-from beam_ros.hub.conformance.check import Check, require
+from beam_ros.hub.conformance.check import check, require
 from beam_ros.hub.conformance.dialogue import Dialogue
 from beam_ros.hub.conformance.kinematics import require_followed, require_ramp
 from beam_ros.hub.conformance.motion_checks import stopped_by
-from beam_ros.hub.conformance.playing import AHEAD_S, arm, play, start_in
+from beam_ros.hub.conformance.playing import AHEAD_S, arm, begin, play, send, start_in
 from beam_ros.hub.line import protocol
 
 
@@ -21,7 +21,6 @@ def _ticks(host: Dialogue, seconds: float) -> int:
 def _require_applied(host: Dialogue, values: FloatArray, start_tick: int) -> None:
     """Require that the samples are what was applied, bit for bit, from the tick of the start on."""
     identity = host.identity
-    assert identity is not None
     n = len(values)
     applied = host.ticks(start_tick, n).applied
     # In position mode a tick begins where the hub is, and leads to the sample after its own.
@@ -36,6 +35,7 @@ def _require_applied(host: Dialogue, values: FloatArray, start_tick: int) -> Non
         )
 
 
+@check("applies a sequence bit for bit, from its tick on", moves=True)
 def _sequence(host: Dialogue) -> None:
     identity = host.enable()
     values = motions.bump(identity, _ticks(host, 0.5), host.position())
@@ -50,6 +50,7 @@ def _sequence(host: Dialogue) -> None:
     host.must("disable")
 
 
+@check("sends a Status at a change, without waiting for a batch", moves=True)
 def _changes(host: Dialogue) -> None:
     """A sequence begins in the middle of a batch: its Status does not wait for the batch."""
     identity = host.enable()
@@ -59,9 +60,7 @@ def _changes(host: Dialogue) -> None:
     batch = next(m.ticks for m in host.since(mark) if isinstance(m, protocol.Telemetry))
     soon = start_in(host, AHEAD_S) - batch.first_tick
     start_tick = batch.first_tick + soon // len(batch) * len(batch) + len(batch) // 2
-    number = host.next_number()
-    require(arm(host, len(values), start_tick, number).is_accepted, "a sequence was refused")
-    host.say(protocol.Samples(number, 0, values))
+    host.say(protocol.Samples(begin(host, len(values), start_tick).number, 0, values))
     mark = host.mark()
     host.ticks(start_tick, len(batch))
     for message in host.since(mark):
@@ -75,13 +74,12 @@ def _changes(host: Dialogue) -> None:
     host.must("disable")
 
 
+@check("drops what overlaps, and frames after a gap", moves=True)
 def _overlap_and_gap(host: Dialogue) -> None:
     identity = host.enable()
     values = motions.bump(identity, 80, host.position())
-    start_tick = start_in(host, AHEAD_S)
-    number = host.next_number()
-    answer = arm(host, len(values), start_tick, number, is_on_tick=True)
-    require(answer.is_accepted, f"a sequence was refused: {answer.text!r}")
+    played = begin(host, len(values), is_on_tick=True)
+    number, start_tick = played.number, played.start_tick
     other = np.zeros(30)
     host.say(protocol.Samples(number, 0, values[:30]))
     host.say(protocol.Samples(number, 40, other))
@@ -97,16 +95,13 @@ def _overlap_and_gap(host: Dialogue) -> None:
     host.must("disable")
 
 
+@check("takes no more samples than it has room for", moves=True)
 def _room(host: Dialogue) -> None:
     """A host that counts wrongly must not break the buffer."""
     identity = host.enable()
     n = min(identity.buffer_samples, 0xFFFF) + 150
     values = motions.bump(identity, n, host.position())
-    start_tick = start_in(host, 2 * AHEAD_S)
-    number = host.next_number()
-    require(arm(host, n, start_tick, number).is_accepted, "a sequence was refused")
-    for first in range(0, n, protocol.MAX_SAMPLES):
-        host.say(protocol.Samples(number, first, values[first : first + protocol.MAX_SAMPLES]))
+    send(host, begin(host, n, start_in(host, 2 * AHEAD_S)).number, values)
     status = host.fresh_status()
     require(
         status.received + status.free <= identity.buffer_samples and status.received <= n,
@@ -115,15 +110,14 @@ def _room(host: Dialogue) -> None:
     host.must("stop")
 
 
+@check("stops by its ramp when a sample is missing", moves=True)
 def _underrun(host: Dialogue) -> None:
     identity = host.enable()
     values = motions.cruise(identity, 1.0, host.position())
-    start_tick = start_in(host, AHEAD_S)
-    number = host.next_number()
-    require(arm(host, len(values), start_tick, number).is_accepted, "a sequence was refused")
+    played = begin(host, len(values))
+    start_tick = played.start_tick
     there = min(round(2 * motions.RISE_S / host.period_s()), identity.buffer_samples)
-    for first in range(0, there, protocol.MAX_SAMPLES):
-        host.say(protocol.Samples(number, first, values[first : min(first + protocol.MAX_SAMPLES, there)]))
+    send(host, played.number, values[:there])
     status = host.wait_for_rest()
     require(
         status.sequence_state == "underrun", f"the sequence is {status.sequence_state}: expected underrun"
@@ -136,6 +130,10 @@ def _underrun(host: Dialogue) -> None:
     require_followed(host, start_tick, status.tick)
 
 
+@check(
+    "refuses sequences while disabled, too late, too short, while the hub moves, or beside another one",
+    moves=True,
+)
 def _refused_sequences(host: Dialogue) -> None:
     identity = host.go_home(within=0.02)
     require(not arm(host, 100).is_accepted, "a sequence was accepted by a disabled axis")
@@ -163,18 +161,3 @@ def _refused_sequences(host: Dialogue) -> None:
     )
     host.must("disable")
     require(host.fresh_status().sequence_state == "aborted", f"it is {host.newest_status().sequence_state}")
-
-
-CHECKS = (
-    Check("sequence", "applies a sequence bit for bit, from its tick on", _sequence, moves=True),
-    Check("changes", "sends a Status at a change, without waiting for a batch", _changes, moves=True),
-    Check("overlap_and_gap", "drops what overlaps, and frames after a gap", _overlap_and_gap, moves=True),
-    Check("room", "takes no more samples than it has room for", _room, moves=True),
-    Check("underrun", "stops by its ramp when a sample is missing", _underrun, moves=True),
-    Check(
-        "refused_sequences",
-        "refuses sequences while disabled, too late, too short, while the hub moves, or beside another one",
-        _refused_sequences,
-        moves=True,
-    ),
-)

@@ -6,14 +6,15 @@ import dataclasses
 import math
 from collections.abc import Callable
 
-from beam_ros.hub.conformance.check import Check, require
-from beam_ros.hub.conformance.dialogue import SAME, Dialogue
+from beam_ros.hub.conformance.check import check, require
+from beam_ros.hub.conformance.dialogue import SAME, Dialogue, only
 from beam_ros.hub.contract import RequestKind
 from beam_ros.hub.line import protocol
 from beam_ros.hub.line.framing import encode_frame
 from beam_ros.hub.parameters import MAX_BATCH_TICKS
 
 
+@check("answers Hello with Identity, then Status")
 def _handshake(host: Dialogue) -> None:
     identity = host.open_session()
     status = host.newest_status()
@@ -23,6 +24,7 @@ def _handshake(host: Dialogue) -> None:
     )
 
 
+@check("names a tick, batches, room and widest limits that an axis can have")
 def _identity(host: Dialogue) -> None:
     identity = host.open_session()
     numbers = {"period": identity.period_ns, "encoder resolution": identity.encoder_resolution}
@@ -33,6 +35,7 @@ def _identity(host: Dialogue) -> None:
     require(room >= 1, f"room for {room} samples: expected some")
 
 
+@check("says version 0 to a host of other versions, and begins no session")
 def _versions(host: Dialogue) -> None:
     host.open_session()
     host.say(protocol.Hello(protocol.VERSION + 5, protocol.VERSION + 7))
@@ -53,14 +56,16 @@ def _versions(host: Dialogue) -> None:
 
 
 def _identity_of(version: int) -> Callable[[protocol.Message], protocol.Identity | None]:
-    return lambda m: m if isinstance(m, protocol.Identity) and m.version == version else None
+    return only(protocol.Identity, version=version)
 
 
+@check("ignores what a later version adds to Hello")
 def _longer_hello(host: Dialogue) -> None:
     host.say_bytes(encode_frame(protocol.encode_payload(protocol.Hello()) + b"more of a later version"))
     host.until(_identity_of(protocol.VERSION), "Identity for a longer Hello", alive=False)
 
 
+@check("is silent without a session, and answers frames with Identity, every 0.1 s at most")
 def _no_session(host: Dialogue) -> None:
     host.open_session()
     host.say(protocol.Goodbye())
@@ -79,6 +84,7 @@ def _no_session(host: Dialogue) -> None:
     require(1 <= seen <= 6, f"{seen} Identity in 0.4 s of frames: expected one every 0.1 s at most")
 
 
+@check("forgets set-points, requests, sequences and silences at Hello, and keeps its boot id")
 def _new_session(host: Dialogue) -> None:
     host.prepare()
     host.say(protocol.Setpoint(host.next_number(), 0.0))
@@ -96,6 +102,7 @@ def _new_session(host: Dialogue) -> None:
     require(host.ask("enable", number).phase == "failure", "a request of an earlier session was remembered")
 
 
+@check("refuses enable and home before SetLimits, and answers zeros")
 def _no_limits(host: Dialogue) -> None:
     host.open_session()
     host.wait_for_rest()
@@ -110,6 +117,7 @@ def _no_limits(host: Dialogue) -> None:
     )
 
 
+@check("obeys the limits that it is handed")
 def _limits(host: Dialogue) -> None:
     host.open_session()
     host.wait_for_rest()
@@ -117,6 +125,7 @@ def _limits(host: Dialogue) -> None:
         host.obey(_scaled(host.limits, share))
 
 
+@check("obeys its own limits where wider ones are asked for")
 def _wide_limits(host: Dialogue) -> None:
     identity = host.open_session()
     host.wait_for_rest()
@@ -136,6 +145,7 @@ def _require_same(answer: protocol.DeviceLimits, wanted: protocol.DeviceLimits) 
         require(abs(obeyed - value) <= SAME * value, f"{name} {obeyed:g} in LimitsReply: expected {value:g}")
 
 
+@check("changes nothing for limits that are not finite or not positive")
 def _impossible_limits(host: Dialogue) -> None:
     host.open_session()
     host.wait_for_rest()
@@ -147,6 +157,7 @@ def _impossible_limits(host: Dialogue) -> None:
             require(answer == in_force, f"{name} = {value} changed the limits: expected them as they were")
 
 
+@check("changes no limits while it is enabled or moves", moves=True)
 def _limits_while_enabled(host: Dialogue) -> None:
     host.enable()
     in_force = host.set_limits(_scaled(host.limits, 0.5))
@@ -158,42 +169,10 @@ def _limits_while_enabled(host: Dialogue) -> None:
         protocol.Request(host.next_number(), "home"), protocol.SetLimits(number, _scaled(host.limits, 0.5))
     )
     reply = host.until(
-        lambda m: m if isinstance(m, protocol.LimitsReply) and m.number == number else None,
+        only(protocol.LimitsReply, number=number),
         "LimitsReply",
         since=mark,
     )
     _require_same(reply.limits, host.limits)
     host.must("stop")
     host.obey(_scaled(host.limits, 0.5))
-
-
-CHECKS = (
-    Check("handshake", "answers Hello with Identity, then Status", _handshake),
-    Check("identity", "names a tick, batches, room and widest limits that an axis can have", _identity),
-    Check("versions", "says version 0 to a host of other versions, and begins no session", _versions),
-    Check("longer_hello", "ignores what a later version adds to Hello", _longer_hello),
-    Check(
-        "no_session",
-        "is silent without a session, and answers frames with Identity, every 0.1 s at most",
-        _no_session,
-    ),
-    Check(
-        "new_session",
-        "forgets set-points, requests, sequences and silences at Hello, and keeps its boot id",
-        _new_session,
-    ),
-    Check("no_limits", "refuses enable and home before SetLimits, and answers zeros", _no_limits),
-    Check("limits", "obeys the limits that it is handed", _limits),
-    Check("wide_limits", "obeys its own limits where wider ones are asked for", _wide_limits),
-    Check(
-        "impossible_limits",
-        "changes nothing for limits that are not finite or not positive",
-        _impossible_limits,
-    ),
-    Check(
-        "limits_while_enabled",
-        "changes no limits while it is enabled or moves",
-        _limits_while_enabled,
-        moves=True,
-    ),
-)

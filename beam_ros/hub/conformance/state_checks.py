@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from beam_ros.hub.conformance import motions
-from beam_ros.hub.conformance.check import Check, require
-from beam_ros.hub.conformance.dialogue import Dialogue
+from beam_ros.hub.conformance.check import check, require
+from beam_ros.hub.conformance.dialogue import Dialogue, end_of, only
 from beam_ros.hub.conformance.limit_checks import breach, broken_cruise, cruise
 from beam_ros.hub.conformance.misfits import misfits
 from beam_ros.hub.conformance.motion_checks import stopped_by
@@ -57,7 +56,7 @@ def _ask(host: Dialogue, condition: Condition, *before: protocol.Message) -> Non
     host.say(*before, *questions.messages)
     kinds = {m.number: m.kind for m in questions.messages if isinstance(m, protocol.Request)}
     for number, expected in questions.expected.items():
-        reply = host.until(_end_of(number), f"the end of the request {kinds[number]}", since=mark)
+        reply = host.until(end_of(number), f"the end of the request {kinds[number]}", since=mark)
         require(
             reply.phase == expected,
             f"{kinds[number]} gave {reply.phase} ({reply.text!r}) in the condition {condition.name}: expected "
@@ -66,7 +65,7 @@ def _ask(host: Dialogue, condition: Condition, *before: protocol.Message) -> Non
         require(expected == "success" or reply.text != "", f"{kinds[number]} was refused without a word")
     if questions.sequence:
         answer = host.until(
-            lambda m: m if isinstance(m, protocol.ArmReply) and m.number == questions.sequence else None,
+            only(protocol.ArmReply, number=questions.sequence),
             "ArmReply",
             since=mark,
         )
@@ -78,14 +77,6 @@ def _ask(host: Dialogue, condition: Condition, *before: protocol.Message) -> Non
     )
 
 
-def _end_of(number: int) -> Callable[[protocol.Message], protocol.RequestReply | None]:
-    def pick(message: protocol.Message) -> protocol.RequestReply | None:
-        is_it = isinstance(message, protocol.RequestReply) and message.number == number
-        return message if is_it and message.phase != "pending" else None  # type: ignore[union-attr,return-value]
-
-    return pick
-
-
 def _require_still(host: Dialogue, condition: Condition) -> None:
     status = host.fresh_status()
     require(
@@ -95,6 +86,7 @@ def _require_still(host: Dialogue, condition: Condition) -> None:
     )
 
 
+@check("refuses what the table of states refuses while homed, holding, armed and in fault", moves=True)
 def _states_at_rest(host: Dialogue) -> None:
     identity = host.go_home(within=0.02)
     _ask(host, transitions.HOMED)
@@ -113,6 +105,7 @@ def _states_at_rest(host: Dialogue) -> None:
     _require_still(host, transitions.HOMED)
 
 
+@check("refuses what the table of states refuses while running, following and stopping", moves=True)
 def _states_in_motion(host: Dialogue) -> None:
     cruise(host)
     _ask(host, transitions.RUNNING)
@@ -129,6 +122,10 @@ def _states_in_motion(host: Dialogue) -> None:
     host.must("disable")
 
 
+@check(
+    "refuses what the table of states refuses while homing, and is identified where that is stopped",
+    moves=True,
+)
 def _states_on_the_way_home(host: Dialogue) -> None:
     identity = host.enable(within=0.0)
     play(host, motions.shift(identity, round(0.4 / host.period_s()), host.position()))
@@ -147,6 +144,7 @@ def _states_on_the_way_home(host: Dialogue) -> None:
     _require_still(host, transitions.HOMED)
 
 
+@check("is disabled in time while it holds and nothing but frames that do not fit comes", moves=True)
 def _misfits_stop(host: Dialogue) -> None:
     """Nothing but frames that do not fit keeps coming; the axis must take it for silence."""
     host.enable()
@@ -161,37 +159,8 @@ def _misfits_stop(host: Dialogue) -> None:
     status = host.wait_for_rest(alive=False, seconds=0.1)
     stopped_by(status, "host_silent")
     require(status.silences == (before.silences + 1) & 0xFFFF, "the silence was not counted")
-    assert host.identity is not None
     silent_ns = status.silence_tick * host.identity.period_ns - fed_ns
     require(
         silent_ns <= host.limits.watchdog_ns + round(1e9 * patience_s) // 4,
         f"frames that do not fit put the watchdog off: it acted after {silent_ns * 1e-9:.4f} s",
     )
-
-
-CHECKS: tuple[Check, ...] = (
-    Check(
-        "states_at_rest",
-        "refuses what the table of states refuses while homed, holding, armed and in fault",
-        _states_at_rest,
-        moves=True,
-    ),
-    Check(
-        "states_in_motion",
-        "refuses what the table of states refuses while running, following and stopping",
-        _states_in_motion,
-        moves=True,
-    ),
-    Check(
-        "states_on_the_way_home",
-        "refuses what the table of states refuses while homing, and is identified where that is stopped",
-        _states_on_the_way_home,
-        moves=True,
-    ),
-    Check(
-        "misfits_stop",
-        "is disabled in time while it holds and nothing but frames that do not fit comes",
-        _misfits_stop,
-        moves=True,
-    ),
-)

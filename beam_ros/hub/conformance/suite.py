@@ -15,7 +15,7 @@ from beam_ros.hub.conformance import (
     session_checks,
     state_checks,
 )
-from beam_ros.hub.conformance.check import Check
+from beam_ros.hub.conformance.check import Check, checks_of
 from beam_ros.hub.conformance.dialogue import Bench, DeviceLine, Dialogue
 from beam_ros.hub.errors import ConformanceError
 
@@ -29,15 +29,11 @@ ALWAYS: dict[str, str] = {
 }
 """What is looked at all the time."""
 
-CHECKS: tuple[Check, ...] = (
-    *session_checks.CHECKS,
-    *line_checks.CHECKS,
-    *motion_checks.CHECKS,
-    *sequence_checks.CHECKS,
-    *state_checks.CHECKS,
-    *limit_checks.CHECKS,
-    *bench_checks.CHECKS,
+_ROOMS = (
+    *(session_checks, line_checks, motion_checks, sequence_checks),
+    *(state_checks, limit_checks, bench_checks),
 )
+CHECKS: tuple[Check, ...] = tuple(check for room in _ROOMS for check in checks_of(room))
 
 
 @dataclass(frozen=True)

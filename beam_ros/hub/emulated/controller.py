@@ -22,7 +22,6 @@ from beam_ros.hub.contract import HostTime
 from beam_ros.hub.emulated.emulator import EmulatedFirmware
 from beam_ros.hub.emulated.injected_faults import (
     KINDS,
-    DisturbedAxis,
     FaultSchedule,
     InjectedFault,
     disturb,
@@ -34,30 +33,15 @@ from beam_ros.hub.host_clock import HostClock
 from beam_ros.hub.parameters import AxisParameters, SimulatedDevice
 from beam_ros.hub.simulated.axis import VirtualAxis
 from beam_ros.hub.simulated.drifting_clock import DriftingClock
-from beam_ros.hub.simulated.motion import Snapshots
+from beam_ros.hub.simulated.motion import CarriedHub, Snapshots
 from beam_ros.hub.simulated.plant import Plant
-
-
-class CarriedBeam(DisturbedAxis, Protocol):
-    """The hub of an emulated device, and the beam on it, as a camera needs them."""
-
-    @property
-    def device_ns(self) -> int:
-        """Device time up to which the hub has moved [ns]."""
-
-    @property
-    def true_position(self) -> float:
-        """Where the hub really is, seen from home [m]."""
-
-    def snapshots(self, times_ns: Sequence[int] | StampArray) -> Snapshots:
-        """Return hub and beam at exact instants of the recent past."""
 
 
 class Firmware(Protocol):
     """A device on a serial line, as ``EmulatedController`` runs it: the suite's own, or somebody else's."""
 
     @property
-    def axis(self) -> CarriedBeam:
+    def axis(self) -> CarriedHub:
         """Hub and beam."""
 
     def exchange(self, data: bytes, device_ns: int) -> bytes:

@@ -12,9 +12,7 @@ from __future__ import annotations
 import math
 import struct
 
-from beam_ros.hub.emulated.servo import ServoAxis, servo_parameters
-from beam_ros.hub.parameters import AxisParameters, SimulatedDevice
-from beam_ros.hub.simulated.plant import Plant
+from beam_ros.hub.emulated.servo import ServoAxis
 
 _COUNTS = 4096
 _RPM = 0.229 / 60.0
@@ -45,12 +43,8 @@ class EmulatedDynamixel:
 
     Parameters
     ----------
-    parameters : AxisParameters
-        The axis, for its encoder.
-    plant : Plant
-        What the hub carries, stepped with the servo's tick.
-    device : SimulatedDevice
-        Where the hub stands at power-on, and what the clock reads then.
+    axis : ServoAxis
+        The motor, with the hub on it.
     metres_per_turn : float
         Travel of the hub for one turn [m].
     has_watchdog : bool, optional
@@ -61,15 +55,13 @@ class EmulatedDynamixel:
 
     def __init__(
         self,
-        parameters: AxisParameters,
-        plant: Plant,
-        device: SimulatedDevice,
+        axis: ServoAxis,
         *,
         metres_per_turn: float = 1.0,
         has_watchdog: bool = True,
         values: dict[int, int] | None = None,
     ) -> None:
-        self.axis = ServoAxis(servo_parameters(parameters), plant, device)
+        self.axis = axis
         self._turn = metres_per_turn
         self._has_watchdog = has_watchdog
         new = {0: 1070, 6: 46, 7: 1, 9: 250, 11: 3, 44: 460, 63: 52, 68: 2, 144: 120, 146: 31}
@@ -78,7 +70,7 @@ class EmulatedDynamixel:
             size = _SIZES.get(address, 1)
             self.table[address : address + size] = value.to_bytes(size, "little")
         self._power_on = bytes(self.table)
-        self._fed_ns = self._now_ns = self._deaf_until_ns = device.clock_start_ns
+        self._fed_ns = self._now_ns = self._deaf_until_ns = axis.device_ns
         self._input = b""
         self._waiting: list[tuple[int, bytes]] = []
         self._zero = self._goal = 0

@@ -17,13 +17,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import count
 from pathlib import Path
-from typing import Literal, Protocol
+from typing import Literal
 
 from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
 from beam_ros.errors import likeliest
 from beam_ros.hub.errors import HubParameterError
+from beam_ros.hub.simulated.motion import CarriedHub
 
 Place = Literal["line", "clock", "cable", "device", "firmware", "axis"]
 Direction = Literal["to_host", "to_device", "both"]
@@ -234,16 +235,6 @@ def _number(value: object, name: str, source: str, least: float, most: float) ->
     return float(value)
 
 
-class DisturbedAxis(Protocol):
-    """A simulated hub whose encoder can lie and that can stick."""
-
-    def lie(self, offset: float, scale: float, drift: float = 0.0) -> None:
-        """Let the encoder read ``scale`` times the position, and ``offset`` [m] and ever more [m/s] besides."""
-
-    def stick(self, *, is_stuck: bool) -> None:
-        """Let the hub stand still whatever is commanded, or move again."""
-
-
 class FaultSchedule:
     """Faults in the order of their time.
 
@@ -279,7 +270,7 @@ class FaultSchedule:
         return notes
 
 
-def disturb(axis: DisturbedAxis, fault: InjectedFault, *, begins: bool) -> None:
+def disturb(axis: CarriedHub, fault: InjectedFault, *, begins: bool) -> None:
     """Let a fault of the axis begin or end; after a restart of the device it is over."""
     if fault.kind == "sticking_axis":
         axis.stick(is_stuck=begins)

@@ -8,7 +8,7 @@ from beam_ros.hub.emulated.injected_faults import InjectedFault
 from beam_ros.hub.emulated.lies import Lies
 from beam_ros.hub.emulated.servo import TICK_NS, servo_parameters
 from beam_ros.hub.parameters import AxisParameters, SimulatedDevice
-from beam_ros.hub.simulated.motion import HubMotion
+from beam_ros.hub.simulated.motion import CarriedHub, HubMotion
 from beam_ros.hub.simulated.plant import Plant
 
 LINE_NS = 5_000_000
@@ -40,7 +40,7 @@ class LineBoard:
     """
 
     def __init__(self, parameters: AxisParameters, plant: Plant, device: SimulatedDevice) -> None:
-        self.axis = _SelfMoved(servo_parameters(parameters), plant, device)
+        self.axis = _SelfMoved(HubMotion(servo_parameters(parameters), plant, device))
         self.lies = Lies(clock_wrap_ns=MICROSECONDS_WRAP_NS)
         self._next_ns = -(-device.clock_start_ns // LINE_NS) * LINE_NS
 
@@ -61,22 +61,12 @@ class LineBoard:
         return "".join(lines).encode()
 
 
-class _SelfMoved:
+class _SelfMoved(CarriedHub):
     """A hub that swings by itself."""
 
-    def __init__(self, parameters: AxisParameters, plant: Plant, device: SimulatedDevice) -> None:
-        self._motion = HubMotion(parameters, plant, device)
-        self._start_ns = self._motion.device_ns
-        self.snapshots = self._motion.snapshots
-        self.lie, self.stick = self._motion.lie, self._motion.stick
-
-    @property
-    def device_ns(self) -> int:
-        return self._motion.device_ns
-
-    @property
-    def true_position(self) -> float:
-        return self._motion.hub_position
+    def __init__(self, motion: HubMotion) -> None:
+        super().__init__(motion)
+        self._start_ns = motion.device_ns
 
     @property
     def measured_position(self) -> float:

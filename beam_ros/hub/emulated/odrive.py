@@ -12,9 +12,7 @@ from __future__ import annotations
 from functools import reduce
 from operator import xor
 
-from beam_ros.hub.emulated.servo import ServoAxis, servo_parameters
-from beam_ros.hub.parameters import AxisParameters, SimulatedDevice
-from beam_ros.hub.simulated.plant import Plant
+from beam_ros.hub.emulated.servo import ServoAxis
 
 _IDLE, _CLOSED_LOOP = 1, 8
 _WATCHDOG_TIMER_EXPIRED = 0x800
@@ -39,12 +37,8 @@ class EmulatedOdrive:
 
     Parameters
     ----------
-    parameters : AxisParameters
-        The axis, for its encoder.
-    plant : Plant
-        What the hub carries, stepped with the servo's tick.
-    device : SimulatedDevice
-        Where the hub stands at power-on, and what the clock reads then.
+    axis : ServoAxis
+        The motor, with the hub on it.
     metres_per_turn : float
         Travel of the hub for one turn [m].
     has_watchdog : bool, optional
@@ -59,9 +53,7 @@ class EmulatedOdrive:
 
     def __init__(
         self,
-        parameters: AxisParameters,
-        plant: Plant,
-        device: SimulatedDevice,
+        axis: ServoAxis,
         *,
         metres_per_turn: float = 1.0,
         has_watchdog: bool = True,
@@ -69,13 +61,13 @@ class EmulatedOdrive:
         closing_s: float = 0.02,
         version: tuple[int, int, int] = (0, 5, 6),
     ) -> None:
-        self.axis = ServoAxis(servo_parameters(parameters), plant, device)
+        self.axis = axis
         self._turn = metres_per_turn
         self._has_watchdog = has_watchdog
         self._prints_64_bits = prints_64_bits
         self._closing_ns = round(closing_s * 1e9)
         self._closed_ns: int | None = None
-        self._fed_ns = self._now_ns = device.clock_start_ns
+        self._fed_ns = self._now_ns = axis.device_ns
         self._input = b""
         self._position = self.axis.true_position
         self._velocity = 0.0

@@ -8,11 +8,10 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
-from beam_ros.arrays import StampArray
 from beam_ros.hub.parameters import AxisParameters, SimulatedDevice
-from beam_ros.hub.simulated.motion import HubMotion, Snapshots
+from beam_ros.hub.simulated.motion import CarriedHub, HubMotion
 from beam_ros.hub.simulated.plant import Plant
 
 TICK_NS = 1_000_000
@@ -34,13 +33,13 @@ def servo_parameters(parameters: AxisParameters) -> AxisParameters:
     return dataclasses.replace(parameters, period_ns=TICK_NS, command_mode="acceleration")
 
 
-class ServoAxis:
+class ServoAxis(CarriedHub):
     """The hub on a servo, with its beam.
 
     Parameters
     ----------
     parameters : AxisParameters
-        As ``servo_parameters`` gives them.
+        The axis, for its encoder and its limits.
     plant : Plant
         What the hub carries, stepped with the servo's tick.
     device : SimulatedDevice
@@ -53,19 +52,9 @@ class ServoAxis:
     """
 
     def __init__(self, parameters: AxisParameters, plant: Plant, device: SimulatedDevice) -> None:
-        self._parameters = parameters
-        self._motion = HubMotion(parameters, plant, device)
+        self._parameters = servo_parameters(parameters)
+        super().__init__(HubMotion(self._parameters, plant, device))
         self.speed_limit = math.inf
-
-    @property
-    def device_ns(self) -> int:
-        """Device time up to which the hub has moved [ns]."""
-        return self._motion.device_ns
-
-    @property
-    def true_position(self) -> float:
-        """Where the hub is [m]."""
-        return self._motion.hub_position
 
     @property
     def velocity(self) -> float:
@@ -78,18 +67,6 @@ class ServoAxis:
         position = self._motion.measured(position)
         resolution = self._parameters.encoder_resolution
         return round(position / resolution) * resolution
-
-    def snapshots(self, times_ns: Sequence[int] | StampArray) -> Snapshots:
-        """Return hub and beam at exact instants of the recent past; see ``HubMotion.snapshots``."""
-        return self._motion.snapshots(times_ns)
-
-    def lie(self, offset: float, scale: float, drift: float = 0.0) -> None:
-        """Let the encoder read ``scale`` times the position, and ``offset`` [m] and ever more [m/s] besides."""
-        self._motion.lie(offset, scale, drift)
-
-    def stick(self, *, is_stuck: bool) -> None:
-        """Let the hub stand still whatever is commanded, or move again."""
-        self._motion.stick(is_stuck=is_stuck)
 
     def advance(self, to_ns: int, command: Command) -> None:
         """Do every tick that begins before a device time [ns]."""

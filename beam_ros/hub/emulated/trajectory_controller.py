@@ -14,10 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from beam_ros.arrays import FloatArray, StampArray
-from beam_ros.hub.emulated.servo import ServoAxis, servo_parameters
-from beam_ros.hub.parameters import AxisParameters, SimulatedDevice
+from beam_ros.hub.emulated.servo import ServoAxis
 from beam_ros.hub.simulated.motion import Snapshots
-from beam_ros.hub.simulated.plant import Plant
 
 _AT_REST = 1.2e-7
 """The last point's velocity may be no greater (single precision's epsilon)."""
@@ -90,12 +88,8 @@ class EmulatedTrajectoryController:
 
     Parameters
     ----------
-    parameters : AxisParameters
-        The axis, for its encoder.
-    plant : Plant
-        What the hub carries, stepped with the servo's tick.
-    start_ns : int
-        Now [ns, UNIX]; the emulation runs on stamps.
+    servo : ServoAxis
+        The drive, with the hub on it; its clock reads stamps [ns, UNIX].
     metres_per_unit : float, optional
         Travel of the hub for one unit of the joint [m].
 
@@ -105,22 +99,15 @@ class EmulatedTrajectoryController:
         What the controller's log would say of messages that it did not take.
     """
 
-    def __init__(
-        self,
-        parameters: AxisParameters,
-        plant: Plant,
-        start_ns: int,
-        *,
-        metres_per_unit: float = 1.0,
-    ) -> None:
-        self._servo = ServoAxis(servo_parameters(parameters), plant, SimulatedDevice(clock_start_ns=start_ns))
+    def __init__(self, servo: ServoAxis, *, metres_per_unit: float = 1.0) -> None:
+        self._servo = servo
         self._unit = metres_per_unit
         self._way: Waypoints | None = None
         self._begin_ns = 0
         self._before: tuple[int, tuple[float, float]] = (0, (0.0, 0.0))
         hold = self._servo.true_position
         self._held = hold / metres_per_unit
-        self._commands = ((start_ns, hold), (start_ns, hold))
+        self._commands = ((servo.device_ns, hold), (servo.device_ns, hold))
         self.rejected: list[str] = []
 
     @property

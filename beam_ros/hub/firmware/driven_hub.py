@@ -10,14 +10,14 @@ import numpy as np
 from beam_ros.arrays import StampArray
 from beam_ros.hub.firmware.plant_port import Drive, Reading
 from beam_ros.hub.parameters import AxisParameters, SimulatedDevice
-from beam_ros.hub.simulated.motion import HubMotion, Snapshots
+from beam_ros.hub.simulated.motion import CarriedHub, HubMotion, Snapshots
 from beam_ros.hub.simulated.plant import Plant
 
 END_SWITCH_MARGIN = 0.01
 """The end switches stand this far beyond the widest travel, as a part of its half."""
 
 
-class DrivenHub:
+class DrivenHub(CarriedHub):
     """A hub that a firmware drives, tick by tick.
 
     Parameters
@@ -46,18 +46,13 @@ class DrivenHub:
         self._device = device or SimulatedDevice()
         self._home_counter: int | None = None
         self._signals: dict[str, bool] = {}
-        self._begin(self._device.initial_position, 0)
         self._delay_ns: int | None = None
+        self._begin(self._device.initial_position, 0)
 
     @property
     def device_ns(self) -> int:
         """The caller's time up to which the hub has moved [ns]."""
-        return self._motion.device_ns + (self._delay_ns or 0)
-
-    @property
-    def true_position(self) -> float:
-        """Where the hub is, seen from home [m]."""
-        return self._motion.hub_position
+        return super().device_ns + (self._delay_ns or 0)
 
     @property
     def max_following_error(self) -> float:
@@ -76,15 +71,7 @@ class DrivenHub:
 
     def snapshots(self, times_ns: Sequence[int] | StampArray) -> Snapshots:
         """Return hub and beam at exact instants of the recent past in the caller's time, as ``HubMotion`` does."""
-        return self._motion.snapshots(np.asarray(times_ns, dtype=np.int64) - (self._delay_ns or 0))
-
-    def lie(self, offset: float, scale: float, drift: float = 0.0) -> None:
-        """Let the encoder read ``scale`` times the position, and ``offset`` [m] and ever more [m/s] besides."""
-        self._motion.lie(offset, scale, drift)
-
-    def stick(self, *, is_stuck: bool) -> None:
-        """Let the hub stand still whatever is commanded, or move again."""
-        self._motion.stick(is_stuck=is_stuck)
+        return super().snapshots(np.asarray(times_ns, dtype=np.int64) - (self._delay_ns or 0))
 
     def hold_signals(self, **signals: bool) -> None:
         """Let signals of the reading (fields of ``Reading``) be on or off whatever the hub does, all others true."""

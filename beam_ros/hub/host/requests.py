@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 
+from beam_ros.hub.answers import Answers
 from beam_ros.hub.contract import REQUEST_KINDS, Outcome, RequestKind
 from beam_ros.hub.gate.stamps import MAX_AGE_NS
 from beam_ros.hub.parameters import AxisParameters
@@ -63,6 +64,8 @@ class Requests:
     ----------
     closing_id : int
         The stop that closing asked for, whose end only ``is_closed`` reports; 0 until then.
+    answers : Answers
+        How requests ended, by the device's word or the host's own.
     """
 
     def __init__(self, parameters: AxisParameters, report: Callable[[str, str], None]) -> None:
@@ -75,10 +78,9 @@ class Requests:
         self._patience_ns = {
             kind: LEISURE_NS + round(1e9 * (home_s if kind == "home" else ramp_s)) for kind in REQUEST_KINDS
         }
-        self._newest_id = 0
         self.closing_id = 0
+        self.answers = Answers()
         self._pending: dict[int, _PendingRequest] = {}
-        self._completed: list[tuple[int, Outcome]] = []
 
     @property
     def is_closed(self) -> bool:
@@ -86,26 +88,15 @@ class Requests:
         return self.closing_id & 0xFFFF not in self._pending
 
     @property
-    def has_completed(self) -> bool:
-        """Whether ``take_completed`` has something to return."""
-        return bool(self._completed)
+    def are_pending(self) -> bool:
+        """Whether the device has still to answer one."""
+        return bool(self._pending)
 
     def begin(self, kind: RequestKind) -> int:
         """Take a request to be sent; return its id."""
-        self._newest_id += 1
-        self._pending[self._newest_id & 0xFFFF] = _PendingRequest(self._newest_id, kind)
-        return self._newest_id
-
-    def refuse(self, kind: RequestKind, reason: str) -> int:
-        """Take a request that nobody can be asked for; return its id."""
-        message = f"cannot {kind.replace('_', ' ')}: the controller is disconnected: {reason}"
-        return self.answer(Outcome(False, message))
-
-    def answer(self, outcome: Outcome) -> int:
-        """Take a request that the host itself answers; return its id."""
-        self._newest_id += 1
-        self._completed.append((self._newest_id, outcome))
-        return self._newest_id
+        request_id = self.answers.begin()
+        self._pending[request_id & 0xFFFF] = _PendingRequest(request_id, kind)
+        return request_id
 
     def has(self, kind: RequestKind) -> bool:
         """Say whether a request of this kind is not answered yet."""
@@ -191,14 +182,9 @@ class Requests:
                 del self._pending[number]
                 self._complete(pending, Outcome(False, f"{pending.kind}: the axis is stopped: {reason}"))
 
-    def take_completed(self) -> list[tuple[int, Outcome]]:
-        """Return the requests that came to an end since the last call."""
-        completed, self._completed = self._completed, []
-        return completed
-
     def _complete(self, pending: _PendingRequest, outcome: Outcome) -> None:
         if pending.request_id != self.closing_id:
-            self._completed.append((pending.request_id, outcome))
+            self.answers.add(pending.request_id, outcome)
 
 
 @dataclass

@@ -34,7 +34,9 @@ AGREEING = 3
 DISAGREEING = 20
 """So many strange answers, of which no three agree, come from no clock."""
 AHEAD_NS = 20_000_000
-"""Ticks cannot lie further ahead than this: what map and resolution leave open [ns]."""
+"""Ticks cannot lie further ahead of the map than this, which is for resolution [ns], and ..."""
+SURE = 2.0
+"""... than so many of its standard deviations: a constant within half the round trip is at most 1.73 of its own."""
 CONNECTION_NS = 800_000_000
 """The first ticks of a connection are not older than this, and than the connection, when they come [ns] ..."""
 LIVE_NS = 100_000_000
@@ -63,7 +65,7 @@ class DeviceClock:
     ticks : TickWatch
         Whether the ticks keep up with this clock.
     connected_ns : int
-        Steady time of the connection [ns], or of the clock's last jump.
+        Steady time of the greeting that began the connection [ns], or of the clock's last jump.
     """
 
     def __init__(self, max_sd_ns: int, report: Report) -> None:
@@ -74,9 +76,8 @@ class DeviceClock:
         self._report = report
         self._counter = DeviceCounter()
         self._n_agreeing = 0
-        self._other = ClockMapping(0)
-        """What the strange answers agree on."""
-        self._n_other = 0
+        self._other: ClockMapping | None = None
+        """What strange answers agree on, since the last one that was believed."""
         self._n_strange = self._n_strange_ever = 0
         self._sent: dict[int, int] = {}
         self._number = 0
@@ -84,13 +85,14 @@ class DeviceClock:
         self._interval_ns = URGENT_CLOCK_NS
         self._syncs: list[ClockSync] = []
 
-    def connect(self, now_ns: int, *, is_new_boot: bool) -> None:
-        """Begin a connection; the map goes on where the device has not restarted."""
-        self.connected_ns = now_ns
+    def connect(self, greeted_ns: int, *, is_new_boot: bool) -> None:
+        """Begin a connection with its greeting [ns]; the map goes on where the device has not restarted."""
+        self.connected_ns = greeted_ns
         self.ticks.restart()
         self._sent.clear()
         # In a long pause a narrow counter may have wrapped more often than can be told.
-        self._n_agreeing = self._n_other = self._n_strange = 0
+        self._n_agreeing = self._n_strange = 0
+        self._other = None
         if is_new_boot:
             self.mapping = ClockMapping(self.mapping.epoch + 1)
             self._counter = DeviceCounter()
@@ -103,16 +105,18 @@ class DeviceClock:
         """Return what the device's own counter reads [ns] at a steady time [ns]."""
         return self._counter.shown_ns(max(0, self.mapping.device_ns(steady_ns)))
 
+    def is_new(self, now_ns: int) -> bool:
+        """Whether the connection is so young that the clock is asked as often as it can be."""
+        return now_ns - self.connected_ns < FAST_CLOCK_PHASE_NS
+
     def is_query_due(self, now_ns: int) -> bool:
         """Whether the clock should be asked now."""
-        interval_ns = self._interval_ns
-        if now_ns - self.connected_ns < FAST_CLOCK_PHASE_NS:
-            interval_ns = FAST_CLOCK_NS
+        interval_ns = FAST_CLOCK_NS if self.is_new(now_ns) else self._interval_ns
         return now_ns - self._last_query_ns >= interval_ns
 
     def _set_interval(self, now_ns: int) -> None:
         """Ask more often while the map is not good enough; only questions and answers change that."""
-        is_vague = self._n_other or self.sd_ns(now_ns) > self.max_sd_ns
+        is_vague = self._other is not None or self.sd_ns(now_ns) > self.max_sd_ns
         self._interval_ns = URGENT_CLOCK_NS if is_vague else SLOW_CLOCK_NS
 
     def query(self, now_ns: int) -> int | None:
@@ -183,25 +187,23 @@ class DeviceClock:
             device_ns = self._counter.read(shown_ns, *possible)
         if device_ns is not None:
             self._n_agreeing += 1
-            self._n_other = self._n_strange = 0
+            self._n_strange, self._other = 0, None
             return device_ns
         assert possible is not None
         self._n_strange += 1
         self._n_strange_ever += 1
-        expected = self._other.possible_ns(sent_ns, returned_ns)
-        if not self._n_other or expected is None or not expected[0] <= shown_ns <= expected[1]:
+        expected = None if self._other is None else self._other.possible_ns(sent_ns, returned_ns)
+        if self._other is None or expected is None or not expected[0] <= shown_ns <= expected[1]:
             self._other = ClockMapping(self.mapping.epoch + 1)
-            self._n_other = 0
         self._other.add(sent_ns, returned_ns, shown_ns)
-        self._n_other += 1
-        if self._n_other >= AGREEING:
-            self._jump(shown_ns, possible, returned_ns)
+        if self._other.n_exchanges >= AGREEING:
+            self._jump(self._other, shown_ns, possible, returned_ns)
         elif self._n_strange >= DISAGREEING:
             self._n_strange = 0
             self._report("clock_jumped", f"{DISAGREEING} answers of the clock do not fit together")
         return None
 
-    def _jump(self, shown_ns: int, possible: tuple[int, int], now_ns: int) -> None:
+    def _jump(self, other: ClockMapping, shown_ns: int, possible: tuple[int, int], now_ns: int) -> None:
         """Begin again with what the last answers agree on."""
         if self._n_agreeing >= AGREEING:
             name = "clock_backwards" if self._counter.extended_ns(shown_ns) < possible[0] else "clock_jumped"
@@ -211,11 +213,10 @@ class DeviceClock:
                 f"the clock shows {shown_ns * 1e-9:.6f} s where {wanted_ns * 1e-9:.6f} s +- "
                 f"{(possible[1] - possible[0]) / 2e6:.1f} ms was expected",
             )
-        self.mapping = self._other
+        self.mapping, self._other = other, None
         self.ticks.restart()
         self._counter = DeviceCounter()
-        self._n_agreeing = self._n_other
-        self._n_other = self._n_strange = 0
+        self._n_agreeing, self._n_strange = other.n_exchanges, 0
         self.connected_ns = now_ns
 
 
@@ -359,7 +360,8 @@ class SampleStamping:
         mapping = self._device_clock.mapping
         if not mapping.is_usable:
             return None
-        newest_ns = mapping.device_ns(received_ns) + AHEAD_NS - length_ns
+        device_ns = mapping.device_ns(received_ns)
+        newest_ns = device_ns + AHEAD_NS + round(SURE * mapping.stamp_sd_ns(device_ns)) - length_ns
         if self._expected_ns is None:
             return newest_ns - CONNECTION_NS - (received_ns - self._device_clock.connected_ns), newest_ns
         return newest_ns - LATE_NS - (received_ns - self._fresh_ns), newest_ns

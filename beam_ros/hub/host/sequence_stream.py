@@ -64,6 +64,11 @@ class SequenceStream:
         self._number = 0
         self._transfer: _Transfer | None = None
 
+    @property
+    def is_accepted(self) -> bool:
+        """Whether the device awaits or runs it."""
+        return self._transfer is not None and self._transfer.is_accepted
+
     def begin(self, sequence: Sequence, start_steady_ns: int) -> None:
         """Take a checked sequence that is to start at a steady time [ns]."""
         self._number = self._number % 0xFFFF + 1

@@ -11,8 +11,8 @@ silent and the device's watchdog stops the axis.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 
 from beam_ros.hub.contract import (
     AxisState,
@@ -52,7 +52,7 @@ COUNTERS = (
 )
 
 
-@dataclass
+@dataclasses.dataclass
 class _Seen:
     """What the device said last.
 
@@ -120,29 +120,25 @@ class HubClient:
     @property
     def capabilities(self) -> HubCapabilities:
         """What the protocol promises, and what goes without the proof of the watchdog."""
-        unproved = (
-            ()
-            if self._link.prove_watchdog
-            else ("the controller's watchdog is believed, not proved: axis.prove_watchdog is off",)
-        )
         return HubCapabilities(
             "beam",
             (self._parameters.command_mode,),
             rate=1.0 / self._parameters.period,
-            shortcomings=unproved,
+            shortcomings=self._link.shortcomings,
         )
 
     def request(self, kind: RequestKind) -> int:
         """Ask for a change of state; its number appears in ``HubReport.completed`` when it is over."""
         if not self._connection.is_in_session:
-            return self._requests.refuse(kind, self._connection.reason)
+            reason = f"the controller is disconnected: {self._connection.contact.reason}"
+            return self._requests.answers.give(Outcome(False, f"cannot {kind.replace('_', ' ')}: {reason}"))
         if kind in STOPS:
             return self._stop(kind, f"{kind} was asked for")
         answer = self._supervisor.answer(
             kind, self._seen.status.state if self._seen.status else "disconnected"
         )
         # What is asked while the connection comes up waits for it; that takes a second.
-        return self._requests.begin(kind) if answer is None else self._requests.answer(answer)
+        return self._requests.begin(kind) if answer is None else self._requests.answers.give(answer)
 
     def setpoint(self, stamp_ns: int, value: float, now: HostTime) -> Outcome:
         """Hand over one set-point in the command mode's unit, stamped [ns, UNIX] by who made it."""
@@ -183,7 +179,7 @@ class HubClient:
             measured=[measured for _, measured in batches],
             sequences=self._gate.take_reports(),
             clock=self._device_clock.take_syncs(),
-            completed=self._requests.take_completed(),
+            completed=self._requests.answers.take(),
             status=status,
             events=self._journal.take_events(),
         )
@@ -191,7 +187,14 @@ class HubClient:
     @property
     def has_news(self) -> bool:
         """Whether samples or answers wait for the next poll."""
-        return self._stamping.has_batches or self._requests.has_completed
+        return self._stamping.has_batches or self._requests.answers.are_there
+
+    def is_calm(self, now_ns: int) -> bool:
+        """Whether nothing is under way that a turn every few milliseconds would be worth."""
+        # Samples follow the device's word of its room, which ends a wait by itself.
+        is_loading = self._gate.sequence_id is not None and not self._stream.is_accepted
+        is_busy = self._requests.are_pending or is_loading
+        return self._connection.is_up and not is_busy and not self._device_clock.is_new(now_ns)
 
     def begin_close(self) -> None:
         """Ask the device to stop; from now on polls are not needed for the line to live."""
@@ -241,7 +244,8 @@ class HubClient:
             ):
                 self._connection.hear(received_ns)
                 handler(self, message, received_ns)
-                if self._connection.is_in_session:
+                # While the watchdog is proved, a device holds its samples back from a host that is silent.
+                if self._connection.is_up:
                     self._supervisor.hear(_WATCHED.get(type(message), "other"))
 
     def transmit(self, now_ns: int) -> bytes:
@@ -254,7 +258,7 @@ class HubClient:
         was_in_session = self._connection.is_in_session
         messages = list(self._connection.words(now_ns))
         if was_in_session and not self._connection.is_in_session:
-            self._forget_session(self._connection.reason)
+            self._forget_session(self._connection.contact.reason)
         elif self._connection.is_in_session and not self._connection.must_be_silent:
             messages += self._words(now_ns)
         if messages:
@@ -326,9 +330,10 @@ class HubClient:
         is_new_boot = not self._connection.is_same_boot(identity)
         news = self._connection.note_identity(identity, received_ns)
         if news in ("lost", "restarted"):
-            self._forget_session(self._connection.reason)
+            self._forget_session(self._connection.contact.reason)
         elif news == "new":
-            self._device_clock.connect(received_ns, is_new_boot=is_new_boot)
+            # A process that was put aside reads the answer late, and with it the samples of all that time.
+            self._device_clock.connect(self._connection.greeted_ns, is_new_boot=is_new_boot)
             self._stamping.connect(is_new_boot=is_new_boot)
             self._supervisor.connect()
         elif self._connection.is_in_session:
@@ -338,7 +343,7 @@ class HubClient:
     def _on_limits_reply(self, reply: protocol.LimitsReply, received_ns: int) -> None:
         self._connection.note_limits(reply.limits, received_ns)
         if not self._connection.is_in_session:
-            self._forget_session(self._connection.reason)
+            self._forget_session(self._connection.contact.reason)
 
     def _on_clock_reply(self, reply: protocol.ClockReply, received_ns: int) -> None:
         self._device_clock.answer(reply.number, reply.received_ns, reply.sent_ns, received_ns, self._clock)
@@ -383,7 +388,7 @@ class HubClient:
             # In a silence of more than a second the device held its samples back.
             self._stamping.connect(is_new_boot=False)
         if not self._connection.is_in_session:
-            self._forget_session(self._connection.reason)
+            self._forget_session(self._connection.contact.reason)
             return
         if before is not None:
             refused = (status.setpoints_refused - before.setpoints_refused) & 0xFFFF
@@ -432,13 +437,10 @@ class HubClient:
         self._seen = _Seen()
 
     def _status(self, now_ns: int | None = None) -> HubStatus:
-        counters = dict(self._journal.counters)
-        if now_ns is not None:
-            counters.update(self._device_clock.counters(now_ns))
-        device = self._seen.status
+        status, device = self._connection.contact.status, self._seen.status
+        counters = {**status.counters, **({} if now_ns is None else self._device_clock.counters(now_ns))}
         if not self._connection.is_up or device is None:
-            connection = self._connection
-            return HubStatus(fault=connection.fault, reason=connection.reason, counters=counters)
+            return dataclasses.replace(status, counters=counters)
         resolution = self._parameters.encoder_resolution
         status = HubStatus(
             device.state,

@@ -16,7 +16,8 @@ from collections.abc import Iterator
 from dataclasses import fields
 from typing import Literal
 
-from beam_ros.hub.faults import NO_FAULT, Fault, fault
+from beam_ros.hub.faults import Fault, fault
+from beam_ros.hub.host.contact import Contact
 from beam_ros.hub.journal import Journal
 from beam_ros.hub.line import protocol
 from beam_ros.hub.line.greeting import Greeting
@@ -55,18 +56,15 @@ class Connection:
     state : str
         down: no port; greeting: the device has not answered; limits: it is given what to obey; proof: the host is
         silent on purpose; up: in session.
-    fault : Fault
+    contact : Contact
         Why it is not up.
-    reason : str
-        The same with its numbers.
     round_trip_ns : int
         What the line itself takes for a word and its answer, as far as is known [ns].
     """
 
     def __init__(self, parameters: AxisParameters, link: LinkParameters, journal: Journal) -> None:
         self.state: ConnectionState = "down"
-        self.fault: Fault = NO_FAULT
-        self.reason = "not connected yet"
+        self.contact = Contact(journal)
         self.round_trip_ns = 0
         self._parameters = parameters
         self._link = link
@@ -75,7 +73,6 @@ class Connection:
         self._greeting = Greeting()
         self._proof = WatchdogProof(parameters)
         self._device: protocol.Identity | None = None
-        self._told: Fault = NO_FAULT
         self._rested_ns: int | None = None
         self._last_set_ns: int | None = None
         self._up_ns: int | None = None
@@ -95,6 +92,11 @@ class Connection:
         return self.state in ("limits", "proof", "up")
 
     @property
+    def greeted_ns(self) -> int:
+        """Steady time at which the device was greeted last [ns]: what it says in the session came after that."""
+        return self._greeting.newest_ns
+
+    @property
     def must_be_silent(self) -> bool:
         """Whether the host says nothing, to see whether the device notices."""
         return self._proof.is_silent
@@ -111,7 +113,7 @@ class Connection:
         self._proof.give_up()
         if was_in_session or cause is not fault("controller_silent"):
             # Who never answered is no news when the port is opened anew.
-            self._complain(cause, reason)
+            self.contact.lose(cause, reason)
 
     def hear(self, now_ns: int) -> None:
         """Note a sign of life of the device."""
@@ -166,7 +168,7 @@ class Connection:
         if objection is not None:
             self._refuse(now_ns, *objection)
             return "same"
-        self.state, self.reason = "limits", "the controller is being given its limits"
+        self.state, self.contact.reason = "limits", "the controller is being given its limits"
         self._device = identity
         self._rested_ns = self._last_set_ns = None
         self._proof.restart()
@@ -180,8 +182,9 @@ class Connection:
     def _lose_session(self, now_ns: int, *, is_same_boot: bool) -> None:
         """Greet anew: at once a device that restarted, after a pause one that may have another host."""
         greeting, longest_ns = self._greeting, self._proof.longest_ns(self.round_trip_ns)
-        if not is_same_boot or (self._up_ns is not None and now_ns - self._up_ns > longest_ns):
-            greeting.pause_ns, self._told = 0, NO_FAULT
+        is_news = not is_same_boot or (self._up_ns is not None and now_ns - self._up_ns > longest_ns)
+        if is_news:
+            greeting.pause_ns = 0
         is_rivalry = greeting.pause_ns > 0
         # Up to the time in which the other host comes up at its slowest.
         wait_ns = greeting.leave_to_another(longest_ns) if is_same_boot else 0
@@ -189,7 +192,7 @@ class Connection:
         self._greet_again(now_ns, wait_ns)
         self._heard_ns = now_ns
         greeting.n_unanswered = 0
-        self._complain(cause, f"{cause.sentence}; {cause.remedy}")
+        self.contact.lose(cause, f"{cause.sentence}; {cause.remedy}", is_news=is_news)
 
     def note_status(self, status: protocol.Status, now_ns: int) -> None:
         """Follow the device on the way up: is it at rest, has it noticed the host's silence?"""
@@ -207,7 +210,7 @@ class Connection:
         if objection:
             self._refuse(now_ns, fault("limits_not_obeyed"), objection)
         elif self._link.prove_watchdog:
-            self.state, self.reason = "proof", "the controller's watchdog is being proved"
+            self.state, self.contact.reason = "proof", "the controller's watchdog is being proved"
         else:
             self._establish(now_ns)
 
@@ -238,24 +241,22 @@ class Connection:
 
     def _establish(self, now_ns: int) -> None:
         assert self._device is not None
-        self.state, self.fault, self.reason = "up", NO_FAULT, ""
-        self._up_ns = now_ns
-        if self._greeting.pause_ns == 0:
-            # Of a rival is told once, however often each of the two comes up.
-            self._told = NO_FAULT
-        self._journal.counters["connections"] += 1
-        self._journal.tell("info", f"connected: {self._device.name} on {self._link.serial_port}")
+        self.state, self._up_ns = "up", now_ns
+        # A rival is reported once, however often each of the two comes up.
+        self.contact.make(
+            f"{self._device.name} on {self._link.serial_port}", is_lasting=self._greeting.pause_ns == 0
+        )
 
     def _greet_again(self, now_ns: int, wait_ns: int = 0) -> None:
         self.state = "greeting"
-        self.fault, self.reason = fault("no_answer"), "the controller has not answered yet"
+        self.contact.await_answer()
         self._greeting.begin(now_ns, wait_ns)
         self._up_ns = None
         self._proof.give_up()
 
     def _greet(self, now_ns: int) -> Iterator[protocol.Message]:
         if self._greeting.is_in_vain(now_ns):
-            self._complain(
+            self.contact.lose(
                 fault("no_answer"),
                 f"nobody answers on {self._link.serial_port} at {self._link.serial_baud} baud: "
                 f"expected a controller that speaks protocol version {protocol.VERSION}; check serial.port, "
@@ -267,14 +268,7 @@ class Connection:
     def _refuse(self, now_ns: int, cause: Fault, reason: str) -> None:
         """Leave this device alone for a while, and say once why."""
         self._greet_again(now_ns, REFUSED_NS)
-        self._complain(cause, f"{reason}; {cause.remedy}")
-
-    def _complain(self, cause: Fault, text: str) -> None:
-        """Say what is wrong with the connection, once until it is something else."""
-        self.fault, self.reason = cause, text
-        if cause is not self._told:
-            self._told = cause
-            self._journal.tell("error", text)
+        self.contact.lose(cause, f"{reason}; {cause.remedy}")
 
 
 _EQUAL = {

@@ -18,12 +18,11 @@ from beam_ros.hub.errors import HubConnectionError, PortDeniedError
 from beam_ros.hub.faults import fault
 from beam_ros.hub.gate.beam_guard import BeamGuard
 from beam_ros.hub.line.client import HubClient
-from beam_ros.hub.line.transport import SerialTransport
+from beam_ros.hub.line.transport import RECONNECT_S, SerialTransport
 from beam_ros.hub.parameters import AxisParameters, LinkParameters
 
-RECONNECT_S = 0.3
-READ_S = 0.005
-"""Longest wait for bytes [s]; commands end it early. A new connection asks the clock every 10 ms."""
+BUSY_S, CALM_S = 0.005, 0.02
+"""Longest wait for bytes while something is under way, and else [s]; commands end it early."""
 FLOOD_BYTES, FLOOD_BYTES_PER_TICK = 100_000, 240
 """More than this in a second is a flood: what waits after a pause, and ten times what telemetry needs."""
 CLOSE_S = 1.0
@@ -58,7 +57,7 @@ class DriverHub:
         self._lock = threading.Lock()
         self._ending = threading.Event()
         self._patient_until = time.monotonic() + link.patience_s
-        self._was_open = False
+        self._was_open = self._is_calm = False
         self._tell_news: Callable[[], None] = lambda: None
         self._thread = threading.Thread(target=self._run, name="hub-serial", daemon=True)
         self._thread.start()
@@ -86,6 +85,7 @@ class DriverHub:
         """Hand over one chunk of a sequence; what became of it appears in ``HubReport.sequences``."""
         with self._lock:
             self._client.load(chunk, now)
+        self._transport.wake()
 
     def poll(self, now: HostTime) -> HubReport:
         """Say that the host is alive, and collect what happened."""
@@ -161,10 +161,10 @@ class DriverHub:
         with self._lock:
             query = self._client.clock_query(time.monotonic_ns())
         self._transport.write(query)
-        data, arrived_ns = self._transport.read(READ_S)
+        data, arrived_ns = self._transport.read(CALM_S if self._is_calm else BUSY_S)
         with self._lock:
             self._client.receive(data, arrived_ns)
-            has_news = self._client.has_news
+            has_news, self._is_calm = self._client.has_news, self._client.is_calm(now_ns)
             is_silent = self._client.is_silent(now_ns)
         if has_news:
             self._tell_news()

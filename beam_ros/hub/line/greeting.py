@@ -33,6 +33,11 @@ class Greeting:
         self._begun_ns, self.next_ns = now_ns, now_ns + wait_ns
         self._said_ns = None
 
+    @property
+    def newest_ns(self) -> int:
+        """When the newest one left, or before the first, when greeting began [ns]."""
+        return self._begun_ns if self._said_ns is None else self._said_ns
+
     def leave_to_another(self, longest_ns: int) -> int:
         """Return for how long a device is left to another host [ns]: twice as long as before, up to a bound."""
         self.pause_ns = min(max(HELLO_NS, 2 * self.pause_ns), longest_ns)

@@ -5,11 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
-import numpy as np
-
-from beam_ros.hub.contract import HostTime, SampleBatch
 from beam_ros.hub.host.receipt_clock import ReceiptClock
-from beam_ros.hub.host_clock import HostClock
 from beam_ros.hub.link_parameters import CsvColumns
 from beam_ros.hub.links.csv_lines import CsvReader
 
@@ -24,20 +20,24 @@ class CsvMeasurement:
         How many it had.
     position : float
         [m].
-    velocity : float or None
-        [m/s].
-    batch : SampleBatch or None
-        The same with its time; None where it has none that can be believed.
+    velocity, effort : float or None
+        [m/s], [N]; None where the board prints none.
+    steady_ns : int or None
+        When, by the host's steady time [ns]; None where the line has no time that can be believed.
+    epoch : int
+        Counts the beginnings of the board's clock.
     """
 
     n_numbers: int
     position: float
     velocity: float | None
-    batch: SampleBatch | None
+    effort: float | None
+    steady_ns: int | None
+    epoch: int
 
 
 class CsvMeasurements:
-    """Lines in, measurements with stamps out.
+    """Lines in, measurements with times out.
 
     Parameters
     ----------
@@ -57,9 +57,8 @@ class CsvMeasurements:
         self._columns = columns
         self._report = report
         self._reader = CsvReader()
-        self._stamps: HostClock | None = None
         self._device_clock = self._new_clock()
-        self._last_stamp_ns = 0
+        self._last_ns = 0
         self._n_bad_before = 0
 
     @property
@@ -87,12 +86,6 @@ class CsvMeasurements:
         """The newest of them."""
         return self._reader.bad_line
 
-    def clock(self, now: HostTime) -> HostClock:
-        """Return the host's clock, which the first call starts."""
-        if self._stamps is None:
-            self._stamps = HostClock(now)
-        return self._stamps
-
     def reset(self) -> None:
         """Forget what came before: the port was opened anew."""
         self._reader.reset()
@@ -113,32 +106,23 @@ class CsvMeasurements:
         position = row[columns.position - 1] * columns.position_scale
         velocity = row[columns.velocity - 1] * columns.position_scale if columns.velocity else None
         effort = row[columns.effort - 1] * columns.effort_scale if columns.effort else None
-        stamp_ns, batch = self._stamp_ns(row, came_ns), None
-        if stamp_ns is None or stamp_ns <= self._last_stamp_ns:
+        steady_ns = self._steady_ns(row, came_ns)
+        if steady_ns is None or steady_ns <= self._last_ns:
             self.n_unstamped += 1
+            steady_ns = None
         else:
-            self._last_stamp_ns = stamp_ns
-            batch = SampleBatch(
-                stamp_ns,
-                0,
-                self._device_clock.epoch,
-                positions=np.array([position]),
-                velocities=None if velocity is None else np.array([velocity]),
-                efforts=None if effort is None else np.array([effort]),
-            )
-        return CsvMeasurement(len(row), position, velocity, batch)
+            self._last_ns = steady_ns
+        return CsvMeasurement(len(row), position, velocity, effort, steady_ns, self._device_clock.epoch)
 
     def _new_clock(self) -> ReceiptClock:
         columns = self._columns
         modulus = 1 << columns.clock_bits if columns.clock_bits else 0
         return ReceiptClock(columns.clock_tick * 1e9, modulus, self._report)
 
-    def _stamp_ns(self, row: tuple[float, ...], came_ns: int) -> int | None:
-        if self._stamps is None:
-            return None
+    def _steady_ns(self, row: tuple[float, ...], came_ns: int) -> int | None:
         if not self.has_clock:
-            return self._stamps.stamp_ns(came_ns)
+            return came_ns
         device_ns = self._device_clock.add(round(row[self._columns.clock - 1]), came_ns)
         if device_ns is None or not self._device_clock.is_usable:
             return None
-        return self._stamps.stamp_ns(self._device_clock.host_ns(device_ns))
+        return self._device_clock.host_ns(device_ns)

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from beam_ros.hub.answers import Answers
 from beam_ros.hub.contract import (
     Activity,
     AxisState,
@@ -28,7 +29,6 @@ from beam_ros.hub.contract import (
 from beam_ros.hub.faults import NO_FAULT, Fault, fault
 from beam_ros.hub.gate.beam_guard import BeamGuard
 from beam_ros.hub.gate.command_gate import CommandGate
-from beam_ros.hub.host.answers import Answers
 from beam_ros.hub.host.contact import Contact
 from beam_ros.hub.host.motion_watch import Measuring
 from beam_ros.hub.host.rest_watch import REST_S
@@ -80,6 +80,10 @@ class HostAxis:
         Why the link cannot hand a sequence's plan over; empty where it can.
     reports_course : bool
         Whether what is led is what is applied; else the link says what it wrote, by ``add_applied``.
+    measuring : Measuring, optional
+        How well positions are measured.
+    patience_ns : int
+        After so long a silence the controller is lost, where it speaks by itself [ns].
     checks_in_background : bool
         Whether sequences are checked in a thread; else at once.
 
@@ -91,6 +95,8 @@ class HostAxis:
         Where the hub was measured last.
     journal : Journal
         Events and counters.
+    contact : Contact
+        Whether the controller answers.
     powering : list of (int, str)
         Requests that wait for the link to switch the motor on: ``grant`` or ``deny`` answers them.
     """
@@ -104,6 +110,8 @@ class HostAxis:
         counters: tuple[str, ...] = (),
         objection: Callable[[MotionPlan], str] = lambda plan: "",
         reports_course: bool = False,
+        measuring: Measuring | None = None,
+        patience_ns: int = 0,
         checks_in_background: bool = True,
     ) -> None:
         self.parameters = parameters
@@ -111,25 +119,25 @@ class HostAxis:
         self.place = HubPlace(homes_here=homes_here)
         self.powering: list[tuple[int, RequestKind]] = []
         self.journal = Journal(("connections", *counters))
-        self._contact = Contact(self.journal, "the controller has not answered yet")
+        self.contact = Contact(self.journal, patience_ns)
         self._gate = CommandGate(parameters, guard, in_background=checks_in_background)
         self._objection = objection
         self._reports_course = reports_course
-        self._machine = _machine()
+        self._answers = Answers()
+        self._machine = self._new_machine()
         self._clock: HostClock | None = None
         self._polled_ns = 0
-        self._answers = Answers()
         self._samples = PollSamples()
         # What the encoder's step is on somebody else's axis, the rig file need not know.
-        measuring = Measuring(parameters.max_following_error, AT_REST * REST_S, STAMP_JITTER_S)
-        self._supervisor = Supervisor(parameters, self.journal, measuring)
+        somehow = Measuring(parameters.max_following_error, AT_REST * REST_S, STAMP_JITTER_S)
+        self._supervisor = Supervisor(parameters, self.journal, measuring or somehow)
 
     # What it is like -----------------------------------------------------------------------------------
 
     @property
     def state(self) -> AxisState:
         """Disconnected, identified, homed, enabled or fault."""
-        if not self._contact.is_made:
+        if not self.contact.is_made:
             return "disconnected"
         return "fault" if self.is_broken else self._machine.condition.state
 
@@ -172,17 +180,14 @@ class HostAxis:
 
     def request(self, kind: RequestKind, now_ns: int) -> int:
         """Ask for a change of state; its number appears in ``HubReport.completed`` when it is over."""
-        number = self._answers.begin()
-        if not self._contact.is_made:
-            words = kind.replace("_", " ")
-            self._answers.add(
-                number, False, f"cannot {words}: the controller is disconnected: {self._contact.reason}"
-            )
-        elif (answer := self._supervisor.answer(kind, self._machine.condition.state)) is not None:
-            self._answers.add(number, answer.success, answer.message)
+        if not self.contact.is_made:
+            return self.refuse(kind, f"the controller is disconnected: {self.contact.reason}")
+        if (answer := self._supervisor.answer(kind, self._machine.condition.state)) is not None:
             if kind == "clear_fault" and answer.success and self._supervisor.has_lost_home:
-                self._machine = _machine()
-        elif kind in ("enable", "home") and not self.is_powered:
+                self._machine = self._new_machine()
+            return self._answers.give(answer)
+        number = self._answers.begin()
+        if kind in ("enable", "home") and not self.is_powered:
             self.powering.append((number, kind))
         else:
             if kind in ("stop", "disable"):
@@ -192,6 +197,10 @@ class HostAxis:
             self._follow_condition(was_stopping, now_ns)
         return number
 
+    def refuse(self, kind: RequestKind, reason: str) -> int:
+        """Refuse a request; its number appears in ``HubReport.completed``."""
+        return self._answers.give(Outcome(False, f"cannot {kind.replace('_', ' ')}: {reason}"))
+
     def grant(self, now_ns: int) -> None:
         """Do what waits for the motor, which now holds the hub where it stands."""
         waiting, self.powering = self.powering, []
@@ -200,12 +209,11 @@ class HostAxis:
             if kind == "home":
                 place.take_home()
             if abs(place.position) > p.position_limit:
-                self._answers.add(
-                    number,
-                    False,
+                reason = (
                     f"cannot {kind}: the hub stands at {place.position:.6f} m, expected within "
-                    f"+-{p.position_limit:g} m; move it by hand, and home it",
+                    f"+-{p.position_limit:g} m; move it by hand, and home it"
                 )
+                self._answers.add(number, Outcome(False, reason))
                 continue
             self._supervisor.forget_motion()
             self.course.follow(MotionPlan.rest(place.position), now_ns)
@@ -219,7 +227,7 @@ class HostAxis:
         """Refuse what waits for the motor."""
         waiting, self.powering = self.powering, []
         for number, kind in waiting:
-            self._answers.add(number, False, f"cannot {kind}: {reason}")
+            self._answers.add(number, Outcome(False, f"cannot {kind}: {reason}"))
 
     def setpoint(self, stamp_ns: int, value: float, now: HostTime) -> Outcome:
         """Take one set-point in the command mode's unit, stamped [ns, UNIX] by who made it."""
@@ -263,18 +271,18 @@ class HostAxis:
 
     def connect(self, what: str) -> None:
         """Note that the controller answers; ``what`` it is goes into the log."""
-        self._contact.make(what)
+        self.contact.make(what)
         self._supervisor.connect()
 
     def disconnect(self, name: str, reason: str) -> None:
         """Note that the controller cannot be reached: nothing is known of the hub any more."""
-        self._contact.lose(name, reason)
+        self.contact.lose(fault(name), reason)
         self.deny(reason)
         if self.is_powered:
             self._machine.react("emergency stop", 0, reason, fault=fault(name))
         self._gate.finish("aborted", reason)
         self._give_up(f"the controller is disconnected: {reason}")
-        self._machine = _machine()
+        self._machine = self._new_machine()
 
     def fail(self, name: str, reason: str, now_ns: int, *, is_limp: bool = False) -> None:
         """Stop because of something that the host noticed, which stays until it is cleared.
@@ -316,7 +324,14 @@ class HostAxis:
             self._brake_where_it_is(now_ns)
 
     def measure(
-        self, raw: float, velocity: float, stamp_ns: int | None = None, effort: float | None = None
+        self,
+        raw: float,
+        velocity: float | None,
+        stamp_ns: int | None = None,
+        effort: float | None = None,
+        *,
+        epoch: int = 1,
+        is_led: bool = False,
     ) -> None:
         """Take what was measured.
 
@@ -324,28 +339,32 @@ class HostAxis:
         ----------
         raw : float
             Position on the controller's own scale [m].
-        velocity : float
+        velocity : float or None
             [m/s].
         stamp_ns : int, optional
             When [ns, UNIX]; what has no time is not reported.
         effort : float, optional
             Force on the hub [N].
+        epoch : int, optional
+            Counts the beginnings of the clock that the stamp comes from.
+        is_led : bool, optional
+            Whether somebody else leads the hub within its limits; else this axis does while it is powered.
         """
         place = self.place
-        place.raw, place.velocity = raw, velocity
+        place.raw, place.velocity = raw, velocity or 0.0
         if stamp_ns is None:
             return
         self._samples.measured.append(
             SampleBatch(
                 stamp_ns,
                 0,
-                1,
+                epoch,
                 positions=np.array([place.position]),
-                velocities=np.array([velocity]),
+                velocities=None if velocity is None else np.array([velocity]),
                 efforts=None if effort is None else np.array([effort]),
             )
         )
-        self._supervisor.note_measured(stamp_ns * 1e-9, place.position, is_led=self.is_powered)
+        self._supervisor.note_measured(stamp_ns * 1e-9, place.position, is_led=is_led or self.is_powered)
 
     def add_applied(self, batch: SampleBatch) -> None:
         """Report what was written."""
@@ -400,7 +419,7 @@ class HostAxis:
             measured=samples.measured,
             sequences=self._gate.take_reports(),
             clock=[],
-            completed=[*self._answers.take(), *self._machine.take_completed()],
+            completed=self._answers.take(),
             status=self._status(),
             events=self.journal.take_events(),
         )
@@ -430,12 +449,8 @@ class HostAxis:
 
     def _give_up(self, reason: str) -> None:
         """Lead the hub no more; what waits for its rest is answered with the reason why it will not be seen."""
-        for number, outcome in self._machine.take_completed():
-            self._answers.add(number, outcome.success, outcome.message)
         if self.activity == "stopping":
-            self._machine.react("rest", 0)
-        for number, _ in self._machine.take_completed():
-            self._answers.add(number, False, reason)
+            self._machine.react("rest", 0, reason)
 
     def _brake_where_it_is(self, now_ns: int) -> None:
         """Stop from the measured motion."""
@@ -448,8 +463,8 @@ class HostAxis:
     # Inside --------------------------------------------------------------------------------------------
 
     def _status(self) -> HubStatus:
-        if not self._contact.is_made:
-            return self._contact.status
+        if not self.contact.is_made:
+            return self.contact.status
         status = HubStatus(
             self._machine.condition.state,
             self.place.position,
@@ -479,7 +494,6 @@ class HostAxis:
             supervisor.note_stop_said(self.course.plan.duration)
         supervisor.note_status(self._machine.condition.state, self.activity, 0)
 
-
-def _machine() -> AxisStateMachine:
-    """Return the states of an axis of which nothing is known yet; what its effects do, the axis does itself."""
-    return AxisStateMachine({"watchdog fed": lambda: None, "zero set": lambda: None})
+    def _new_machine(self) -> AxisStateMachine:
+        """Return the states of an axis of which nothing is known yet; what its effects do, the axis does itself."""
+        return AxisStateMachine({"watchdog fed": lambda: None, "zero set": lambda: None}, self._answers)

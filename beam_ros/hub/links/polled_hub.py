@@ -21,7 +21,7 @@ from beam_ros.hub.contract import HubCapabilities, SampleBatch
 from beam_ros.hub.errors import HubConnectionError, HubProtocolError
 from beam_ros.hub.faults import fault
 from beam_ros.hub.gate.beam_guard import BeamGuard
-from beam_ros.hub.line.transport import SerialTransport
+from beam_ros.hub.line.transport import RECONNECT_S, SerialTransport
 from beam_ros.hub.link_parameters import DriveParameters
 from beam_ros.hub.links.host_axis import AT_REST, HostAxis
 from beam_ros.hub.links.host_paced_hub import HostPacedHub
@@ -30,7 +30,6 @@ from beam_ros.hub.parameters import AxisParameters, LinkParameters
 
 MISSES = 5
 """So many answers in a row that did not come are a lost controller."""
-RECONNECT_S = 0.3
 LATE_NS = 20_000_000
 """A write that is later than this is looked at before anything else is written [ns]."""
 LOOK_EVERY = 10
@@ -52,7 +51,6 @@ RATE_NS = 1_000_000_000
 SLOW_WINDOWS = 3
 """So many such times in a row below ``SLOW`` of the rate are no accident."""
 SLOW = 0.9
-BELIEVED = "the drive's watchdog is believed, not proved: axis.prove_watchdog is off"
 
 
 @dataclass(frozen=True)
@@ -145,7 +143,7 @@ class PolledDrive(Protocol):
 
 
 class WritingPace:
-    """When the next position is due, and how many are written a second.
+    """When the next position is due, how many are written a second, and how long their answers take.
 
     Parameters
     ----------
@@ -159,6 +157,7 @@ class WritingPace:
 
     def __init__(self, rate: float, steady: SteadyTime, counters: dict[str, int]) -> None:
         self.rate = rate
+        self._trips_ns: deque[int] = deque(maxlen=RTTS)
         self._steady, self._counters = steady, counters
         self._period_ns = round(1e9 / rate)
         self.begin()
@@ -190,6 +189,19 @@ class WritingPace:
         self._since_ns, self._n_written = now_ns, 0
         self._n_slow = self._n_slow + 1 if achieved < SLOW * self.rate else 0
         return self._n_slow == SLOW_WINDOWS
+
+    @property
+    def shortest_trip_ns(self) -> int:
+        """Of the newest questions with their answers [ns]."""
+        return min(self._trips_ns)
+
+    def is_timed(self, answer: Answer) -> bool:
+        """Take an answer; return whether it came soon enough for the middle of its exchange to be its time."""
+        trip_ns = answer.came_ns - answer.sent_ns
+        self._trips_ns.append(trip_ns)
+        is_late = trip_ns - self.shortest_trip_ns > MAX_EXCESS_NS
+        self._counters["untimed_answers"] += is_late
+        return not is_late
 
 
 class PolledHub(HostPacedHub):
@@ -239,16 +251,16 @@ class PolledHub(HostPacedHub):
             counters=counters,
             checks_in_background=steady is None,
         )
-        unproved = () if link.prove_watchdog else (BELIEVED,)
         promised = dataclasses.replace(
-            drive.capabilities, rate=settings.rate, shortcomings=drive.capabilities.shortcomings + unproved
+            drive.capabilities,
+            rate=settings.rate,
+            shortcomings=drive.capabilities.shortcomings + link.shortcomings,
         )
         super().__init__(axis, promised, self._line.steady)
         self._settings, self._link = settings, link
         self._pace = WritingPace(settings.rate, self.steady, axis.journal.counters)
         self._patient_until_ns = self.steady.now_ns() + round(link.patience_s * 1e9)
-        self._rtts_ns: deque[int] = deque(maxlen=RTTS)
-        self._is_connected = self._is_on = self._was_broken = self._is_silent = False
+        self._is_on = self._was_broken = self._is_silent = False
         # Names of the drive's faults that stand in the fault of the axis; None: it is no fault of the drive's.
         self._shown: tuple[str, ...] | None = None
         self._n_beats = self._misses = 0
@@ -272,7 +284,7 @@ class PolledHub(HostPacedHub):
     def turn(self) -> None:
         """Connect, or write and measure once when that is due; what is lost is said, and tried again."""
         try:
-            if self._is_connected:
+            if self.axis.contact.is_made:
                 self._beat()
             else:
                 self._connect()
@@ -289,7 +301,6 @@ class PolledHub(HostPacedHub):
     def _lose(self, name: str, err: Exception) -> None:
         self._switch_off()
         self._port.close()
-        self._is_connected = False
         with self.lock:
             self.axis.disconnect(name, str(err))
 
@@ -307,7 +318,6 @@ class PolledHub(HostPacedHub):
             self._port.open()
         self._line.drain()
         self._set_up()
-        self._is_connected = True
 
     def _set_up(self) -> None:
         """Set modes, limits and watchdog of a drive whose motor is off, and prove the watchdog.
@@ -431,19 +441,15 @@ class PolledHub(HostPacedHub):
         achieved = self.axis.journal.counters["writes_per_second"]
         return (
             f"{self._drive.name} is written and asked {achieved} times a second, the quickest answer takes "
-            f"{min(self._rtts_ns) * 1e-6:.1f} ms: expected axis.rate = {self._pace.rate:g}; set the latency timer of "
-            "the USB adapter to 1 ms, raise the baud rate, or lower axis.rate: docs/connect-your-axis.md"
+            f"{self._pace.shortest_trip_ns * 1e-6:.1f} ms: expected axis.rate = {self._pace.rate:g}; set the latency "
+            "timer of the USB adapter to 1 ms, raise the baud rate, or lower axis.rate: docs/connect-your-axis.md"
         )
 
     def _observe(self, seen: tuple[float, float, Answer]) -> None:
         """Take where the motor is; an answer that came late has no time."""
         turns, speed, answer = seen
-        rtt_ns = answer.came_ns - answer.sent_ns
-        self._rtts_ns.append(rtt_ns)
         stamps, stamp_ns = self.axis.stamps, None
-        if rtt_ns - min(self._rtts_ns) > MAX_EXCESS_NS:
-            self.axis.journal.counters["untimed_answers"] += 1
-        elif stamps is not None:
+        if self._pace.is_timed(answer) and stamps is not None:
             stamp_ns = stamps.stamp_ns((answer.sent_ns + answer.came_ns) // 2)
         per_turn = self._settings.metres_per_turn
         self.axis.measure(turns * per_turn, speed * per_turn, stamp_ns)

@@ -23,7 +23,6 @@ import numpy as np
 from beam_ros.arrays import FloatArray, StampArray
 from beam_ros.hub.contract import HostTime, HubCapabilities
 from beam_ros.hub.gate.beam_guard import BeamGuard
-from beam_ros.hub.host.silence import Silence
 from beam_ros.hub.host.stamp_watch import StampWatch
 from beam_ros.hub.link_parameters import TrajectoryParameters
 from beam_ros.hub.links.host_axis import HostAxis
@@ -207,15 +206,16 @@ class TrajectoryHub(HostPacedHub):
             counters=counters,
             objection=self._sequence_objection,
             reports_course=True,
+            patience_ns=SILENCE_NS,
         )
         silence = _silence(trajectory.drive_watchdog_s)
         super().__init__(
             axis, dataclasses.replace(CAPABILITIES, shortcomings=(*CAPABILITIES.shortcomings, silence))
         )
+        axis.contact.await_answer()
         self._settings = trajectory
         self._send = send
         self._sent_revision = 0
-        self._silence = Silence(SILENCE_NS)
         self._last: tuple[int, float] | None = None
         self._stamps = StampWatch(self._blame_clock)
         self._ages_ns: deque[int] = deque(maxlen=AGES)
@@ -266,14 +266,14 @@ class TrajectoryHub(HostPacedHub):
             self.axis.measure(metres, speed, stamp_ns, None if effort is None else effort / unit)
             if self._refusal:
                 return
-            if not self._silence.is_connected:
+            if not self.axis.contact.is_made:
                 self.axis.connect("joint states come")
-            self._silence.end()
+            self.axis.contact.hear()
 
     @property
     def is_connected(self) -> bool:
         """Whether joint states come, of a controller that is not refused."""
-        return self._silence.is_connected
+        return self.axis.contact.is_made
 
     def judge(self, objection: str) -> None:
         """Take what there is to say against the controller's settings, empty where nothing is.
@@ -294,14 +294,13 @@ class TrajectoryHub(HostPacedHub):
     def no_state(self, reason: str) -> None:
         """Take note of joint states that do not say where the joint is."""
         with self.lock:
-            if not self._silence.is_connected:
+            if not self.axis.contact.is_made:
                 self.axis.disconnect("status_unreadable", reason)
 
     def _refuse(self, now_ns: int) -> None:
         if self.axis.is_powered:
             self.axis.fail("wrong_axis", self._refusal, now_ns)
         else:
-            self._silence.lose()
             self.axis.disconnect("wrong_axis", self._refusal)
 
     def _blame_clock(self, name: str, reason: str) -> None:
@@ -320,19 +319,18 @@ class TrajectoryHub(HostPacedHub):
     def _turn(self, now_ns: int) -> Knots | None:
         """Let time do its work; return a trajectory that is to be published."""
         axis = self.axis
-        if self._silence.is_too_long(now_ns):
+        if axis.contact.is_silent(now_ns):
             reason = "no joint states came for 0.5 s: is the broadcaster active?"
             if axis.is_powered:
                 # The controller may be alive, and follow a sequence that nobody sees any more.
                 axis.fail("telemetry_stopped", reason, now_ns)
             else:
-                self._silence.lose()
                 self._last = None
                 self._ages_ns.clear()
                 self._stamps.forget()
                 axis.disconnect("controller_silent", reason)
                 return None
-        elif self._refusal and self._silence.is_connected:
+        elif self._refusal and axis.contact.is_made:
             self._refuse(now_ns)
         if axis.powering and not self.awaits_check:
             if axis.is_moving:

@@ -15,13 +15,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from beam_ros.arrays import StampArray
 from beam_ros.hub.contract import Activity, AxisState, Outcome, RequestKind
 from beam_ros.hub.faults import NO_FAULT, Fault, fault
 from beam_ros.hub.kinematics import ARRIVED, braked_velocity, command_towards, profile_velocity
 from beam_ros.hub.parameters import AxisParameters, SimulatedDevice
 from beam_ros.hub.simulated.limits import SpeedForecast, limit_reason
-from beam_ros.hub.simulated.motion import HubMotion, Snapshots
+from beam_ros.hub.simulated.motion import CarriedHub, HubMotion
 from beam_ros.hub.simulated.plant import Plant
 from beam_ros.hub.simulated.sequence_buffer import SequenceBuffer
 from beam_ros.hub.simulated.state_machine import AxisEvent, AxisStateMachine
@@ -36,7 +35,7 @@ from beam_ros.hub.simulated.transitions import (
 from beam_ros.hub.ticks import TickBatch
 
 
-class VirtualAxis:
+class VirtualAxis(CarriedHub):
     """A motion controller with its axis.
 
     Parameters
@@ -70,7 +69,7 @@ class VirtualAxis:
     ) -> None:
         self.parameters = parameters
         self.device = device or SimulatedDevice()
-        self._motion = HubMotion(parameters, plant, self.device)
+        super().__init__(HubMotion(parameters, plant, self.device))
         self._machine = AxisStateMachine({"watchdog fed": self.feed, "zero set": self._motion.set_zero})
         self._forecast = SpeedForecast(parameters)
         self._buffer = SequenceBuffer(buffer_samples, looks_ahead=parameters.command_mode == "position")
@@ -86,11 +85,6 @@ class VirtualAxis:
     def tick(self) -> int:
         """The tick that comes next; all before it are done."""
         return self._motion.tick
-
-    @property
-    def device_ns(self) -> int:
-        """Device time up to which the axis has advanced [ns]."""
-        return self._motion.device_ns
 
     @property
     def condition(self) -> Condition:
@@ -128,11 +122,6 @@ class VirtualAxis:
         return self._motion.velocity_count * (self.parameters.encoder_resolution / self.parameters.period)
 
     @property
-    def true_position(self) -> float:
-        """Where the hub really is, seen from home [m]; no device knows that before it has homed."""
-        return self._motion.hub_position
-
-    @property
     def reference_position(self) -> float:
         """Where the axis was last told to be [m]; a servo that friction or play holds back rests beside it."""
         return self._motion.position
@@ -158,11 +147,7 @@ class VirtualAxis:
 
     def take_completed(self) -> list[tuple[int, Outcome]]:
         """Return the requests that came to an end since the last call."""
-        return self._machine.take_completed()
-
-    def snapshots(self, times_ns: Sequence[int] | StampArray) -> Snapshots:
-        """Return hub and beam at exact instants of the recent past; see ``HubMotion.snapshots``."""
-        return self._motion.snapshots(times_ns)
+        return self._machine.answers.take()
 
     # What the host asks for ---------------------------------------------------------------------------
 
@@ -241,14 +226,6 @@ class VirtualAxis:
             self._react("limit", reason, cause)
         else:
             self._react("emergency stop", reason, cause)
-
-    def lie(self, offset: float, scale: float, drift: float = 0.0) -> None:
-        """Let the encoder read ``scale`` times the position, and ``offset`` [m] and ever more [m/s] besides."""
-        self._motion.lie(offset, scale, drift)
-
-    def stick(self, *, is_stuck: bool) -> None:
-        """Let the hub stand still whatever is commanded, or move again."""
-        self._motion.stick(is_stuck=is_stuck)
 
     # Ticks --------------------------------------------------------------------------------------------
 

@@ -61,6 +61,41 @@ class _TickStart(NamedTuple):
     mean_acceleration: float
 
 
+class CarriedHub:
+    """The hub of a device, with the beam on it, as a camera sees it and as a hand disturbs it.
+
+    Parameters
+    ----------
+    motion : HubMotion
+        How it moves.
+    """
+
+    def __init__(self, motion: HubMotion) -> None:
+        self._motion = motion
+
+    @property
+    def device_ns(self) -> int:
+        """Device time up to which the hub has moved [ns]."""
+        return self._motion.device_ns
+
+    @property
+    def true_position(self) -> float:
+        """Where the hub really is, seen from home [m]; no device knows that before it has homed."""
+        return self._motion.hub_position
+
+    def snapshots(self, times_ns: Sequence[int] | StampArray) -> Snapshots:
+        """Return hub and beam at exact instants of the recent past; see ``HubMotion.snapshots``."""
+        return self._motion.snapshots(times_ns)
+
+    def lie(self, offset: float, scale: float, drift: float = 0.0) -> None:
+        """Let the encoder read ``scale`` times the position, and ``offset`` [m] and ever more [m/s] besides."""
+        self._motion.lie(offset, scale, drift)
+
+    def stick(self, *, is_stuck: bool) -> None:
+        """Let the hub stand still whatever is commanded, or move again."""
+        self._motion.stick(is_stuck=is_stuck)
+
+
 class HubMotion:
     """Hub and beam, integrated one device tick at a time.
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
+from beam_ros.hub.answers import Answers
 from beam_ros.hub.contract import AxisEventKind, Outcome, RequestKind
 from beam_ros.hub.faults import NO_FAULT, Fault
 from beam_ros.hub.simulated.transitions import IDENTIFIED, TRANSITION_OF, Cause, Condition, Effect
@@ -46,6 +47,8 @@ class AxisStateMachine:
     ----------
     device_effects : mapping of str to callable
         What the device itself does on the effects that are not the machine's own.
+    answers : Answers, optional
+        Takes how requests ended.
 
     Attributes
     ----------
@@ -55,14 +58,18 @@ class AxisStateMachine:
         Why the axis was disabled or stands in fault; ``NO_FAULT`` while all is well.
     reason : str
         The same with its numbers; empty while all is well.
+    answers : Answers
+        How requests ended.
     """
 
-    def __init__(self, device_effects: Mapping[Effect, Callable[[], None]]) -> None:
+    def __init__(
+        self, device_effects: Mapping[Effect, Callable[[], None]], answers: Answers | None = None
+    ) -> None:
         self.condition: Condition = IDENTIFIED
         self.fault = NO_FAULT
         self.reason = ""
         self._events: list[AxisEvent] = []
-        self._completed: list[tuple[int, Outcome]] = []
+        self.answers = answers or Answers()
         self._waiting_for_rest: list[tuple[int, RequestKind]] = []
         self._homing_request = 0
         self._device_effects = device_effects
@@ -116,17 +123,12 @@ class AxisStateMachine:
         """Do what the table says of a request; an answer that is given at once is kept for the host."""
         outcome = self.react(kind, tick, f"{kind} was asked for", request=(request_id, kind))
         if outcome.message:
-            self._complete(request_id, outcome)
+            self.answers.add(request_id, outcome)
 
     def take_events(self) -> list[AxisEvent]:
         """Return what the axis did by itself since the last call."""
         events, self._events = self._events, []
         return events
-
-    def take_completed(self) -> list[tuple[int, Outcome]]:
-        """Return the requests that came to an end since the last call."""
-        completed, self._completed = self._completed, []
-        return completed
 
     # Effects ------------------------------------------------------------------------------------------
 
@@ -140,24 +142,23 @@ class AxisStateMachine:
         self._homing_request = happening.request[0]
 
     def _fail_homing(self, happening: _Happening) -> None:
-        self._complete(self._homing_request, Outcome(False, f"homing ended early: {happening.reason}"))
+        self.answers.add(self._homing_request, Outcome(False, f"homing ended early: {happening.reason}"))
 
     def _answer_homing(self, _happening: _Happening) -> None:
-        self._complete(self._homing_request, Outcome(True, "homed"))
+        self.answers.add(self._homing_request, Outcome(True, "homed"))
 
     def _wait_for_rest(self, happening: _Happening) -> None:
         self._waiting_for_rest.append(happening.request)
 
-    def _answer_waiting(self, _happening: _Happening) -> None:
+    def _answer_waiting(self, happening: _Happening) -> None:
+        """Answer who asked for a stop; a reason says why the hub will not be seen at rest."""
         for request_id, kind in self._waiting_for_rest:
-            self._complete(request_id, Outcome(True, "stopped" if kind == "stop" else "disabled"))
+            done = "stopped" if kind == "stop" else "disabled"
+            self.answers.add(request_id, Outcome(not happening.reason, happening.reason or done))
         self._waiting_for_rest.clear()
 
     def _tell(self, tick: int, kind: AxisEventKind, text: str) -> None:
         self._events.append(AxisEvent(tick, kind, text))
-
-    def _complete(self, request_id: int, outcome: Outcome) -> None:
-        self._completed.append((request_id, outcome))
 
 
 def _sequence_event(kind: AxisEventKind) -> Callable[[AxisStateMachine, _Happening], None]:

@@ -247,7 +247,7 @@ class LiveRig(Rig):
     def run(self, seconds: float) -> list[HubReport]:
         end = time.monotonic() + seconds
         new = []
-        while time.monotonic() < end:
+        while not new or time.monotonic() < end:
             time.sleep(0.01)
             new.append(self.hub.poll(self.now))
         self.reports += new

@@ -6,7 +6,9 @@ exact instants, however busy the computer is.
 
 from __future__ import annotations
 
+import dataclasses
 import os
+import random
 import signal
 import sys
 import time
@@ -25,6 +27,7 @@ from beam_ros.hub.emulated.injected_faults import read_schedule
 from beam_ros.hub.simulated.plant import RigidPlant
 from beam_ros.interfaces.graph import SERVICES
 from beam_ros.rig.rig import Rig
+from benchmarks.axis_safety import LIES
 
 pytestmark = [pytest.mark.ros, pytest.mark.verify]
 pytest.importorskip("rclpy")
@@ -50,9 +53,9 @@ sys.exit(run_executable(sys.argv[0]))
 class Scene:
     """A controller whose hub can be seen, its driver, and somebody who publishes set-points."""
 
-    def __init__(self, executables, graph, folder: Path) -> None:
+    def __init__(self, executables, graph, folder: Path, watchdog_s: float = AXIS.watchdog_s) -> None:
         self.controller = EmulatedController(
-            AXIS.widened(2.0), RigidPlant(0.8, AXIS.period), link=folder / "controller"
+            AXIS.widened(10.0), RigidPlant(0.8, AXIS.period), link=folder / "controller"
         )
         self.graph = graph
         self.modes: list[dict[str, object]] = []
@@ -64,7 +67,7 @@ class Scene:
         self.driver = executables.start(
             "hub_driver",
             *("--ros-args", "-p", f"serial.port:={self.controller.port}"),
-            *("-p", "hub.command_mode:=velocity"),
+            *("-p", "hub.command_mode:=velocity", "-p", f"hub.watchdog:={watchdog_s}"),
             program=[sys.executable, "-c", FREEZING, "hub_driver"],
         )
 
@@ -130,6 +133,14 @@ def scene(executables, graph, tmp_path: Path):
     scene.controller.close()
 
 
+@pytest.fixture
+def patient_scene(executables, graph, tmp_path: Path):
+    """The same with a watchdog that lets a busy computer wait: not for figures."""
+    scene = Scene(executables, graph, tmp_path, watchdog_s=2.0)
+    yield scene
+    scene.controller.close()
+
+
 def _die(scene: Scene) -> None:
     scene.driver.send_signal(signal.SIGKILL)
 
@@ -181,40 +192,50 @@ def test_after_an_accident_the_hub_rests_within_watchdog_and_ramp_and_stays_ther
     scene.ask("hub/enable")
 
 
-LIES = {
-    "not_finite": ("{fault: no_number}", "{fault: no_number, share: 0.8}"),
-    "motion_unexplained": (
-        "{fault: lying_encoder, offset: 0.0, drift: 0.02}",
-        "{fault: lying_encoder, offset: 0.0, drift: -0.05}",
-        "{fault: lying_encoder, offset: 0.0, scale: 1.5}",
-        "{fault: sticking_axis}",
-    ),
-    "clock_jumped": ("{fault: missed_ticks, one_in: 50}", "{fault: missed_ticks, one_in: 500}"),
-    "end_switch": ("{fault: trip, number: 12}",),
-    "drive_alarm": ("{fault: trip, number: 13}",),
-}
-"""What a firmware gets wrong, by the fault that must follow."""
-
-
-@pytest.mark.parametrize("times", [1, 2])
-@pytest.mark.parametrize(("name", "text"), [(name, text) for name, texts in LIES.items() for text in texts])
+@pytest.mark.parametrize("seed", range(20))
 def test_a_device_that_lies_is_found_out_by_name_and_left_by_the_way_that_is_said(
-    scene: Scene, name: str, text: str, times: int
+    patient_scene: Scene, seed: int
 ) -> None:
+    """Those of the benchmark in virtual time, which holds how soon; here nothing but a hang ends a wait."""
+    rng, lie, scene = random.Random(seed), LIES[seed % len(LIES)], patient_scene
     scene.move()
     scene.is_swinging = True
-    scene.graph.spin(0.7 * times)  # at another place, and after another time
-    _fault(text)(scene)
-    scene.graph.wait(lambda: scene.modes[-1]["fault"] is not None, "a fault", 30.0)
-    begin_ns = time.time_ns()
+    scene.graph.spin(rng.uniform(0.5, 1.5))  # at another place, and after another time
+    if lie.kind == "lying_encoder":
+        # A slow drift shows on a hub that is held.
+        scene.is_publishing = False
+        scene.graph.wait(lambda: scene.state == "homed", "the end of the set-points", 10.0)
+        scene.ask("hub/enable")
+    injected = lie.drawn(rng, scene.controller.elapsed)
+    if lie.kind == "missed_ticks":
+        # A slower loss hides for a minute behind the round trips of a busy computer.
+        injected = dataclasses.replace(injected, amounts={"one_in": rng.uniform(50.0, 200.0)})
+    scene.controller.bring_about([injected])
+    if lie.kind == "ignored_stop":
+        scene.graph.spin(0.2)
+        answer = scene.request("hub/stop")
+        scene.graph.wait(answer.done, "an answer of hub/stop", 15.0)
+        assert not answer.result().success, answer.result().message
+    scene.graph.wait(lambda: scene.modes[-1]["fault"] is not None, "a fault", 60.0)
     scene.is_publishing = False
-    assert scene.modes[-1]["fault"]["name"] == name
-    scene.graph.spin(0.5)
-    assert scene.rest_s(begin_ns, 0.4) < REST_S + LATE_S
+    assert scene.modes[-1]["fault"]["name"] in lie.names
+    assert scene.modes[-1]["fault"]["remedy"]
+    scene.graph.wait(lambda: scene.controller.axis.velocity == 0.0, "the hub at rest", 10.0)
+    scene.stays_at_rest()
+    n_seen = len(scene.modes)
     scene.controller.restart()  # a new firmware, which does not lie; for a broken clock it is the remedy
-    scene.graph.wait(lambda: scene.state in ("fault", "identified"), "the driver back", 20.0)
-    scene.graph.spin(1.0)
-    for service in ("hub/clear_fault", "hub/home", "hub/enable"):
+    scene.graph.wait(
+        lambda: any(mode["state"] == "disconnected" for mode in scene.modes[n_seen:]), "a restart", 20.0
+    )
+    for _ in range(30):
+        # The driver comes back, proves the watchdog, and sees that the cause is gone.
+        answer = scene.request("hub/clear_fault")
+        scene.graph.wait(answer.done, "an answer of hub/clear_fault", 15.0)
+        if answer.result().success:
+            break
+        scene.graph.spin(1.0)
+    scene.graph.wait(lambda: scene.state == "identified", "the driver back", 20.0)
+    for service in ("hub/home", "hub/enable"):
         scene.ask(service)
 
 

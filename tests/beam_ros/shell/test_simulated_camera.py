@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from beam_ros.hub.simulated.axis import Snapshots
+from beam_ros.hub.simulated.motion import Snapshots
 from beam_ros.messages import BagTypes, read_displacement
 from beam_ros.messages.stamps import stamp_ns
 from beam_ros.rig.rig import Rig

@@ -7,6 +7,7 @@ import struct
 import pytest
 
 from beam_ros.hub.emulated.dynamixel import EmulatedDynamixel
+from beam_ros.hub.emulated.servo import ServoAxis
 from beam_ros.hub.parameters import AxisParameters, SimulatedDevice
 from beam_ros.hub.simulated.plant import RigidPlant
 
@@ -18,7 +19,9 @@ class Bus:
 
     def __init__(self, **settings: object) -> None:
         self.servo = EmulatedDynamixel(
-            AxisParameters(), RigidPlant(0.8, 1e-3), SimulatedDevice(), metres_per_turn=0.1, **settings
+            ServoAxis(AxisParameters(), RigidPlant(0.8, 1e-3), SimulatedDevice()),
+            metres_per_turn=0.1,
+            **settings,
         )
         self.now_ns = 0
 

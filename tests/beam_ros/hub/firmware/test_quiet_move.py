@@ -11,9 +11,9 @@ from beam_ident.shaping.residual import predict_residual
 from beam_ros.excitation.optimal import theory_of_drive
 from beam_ros.excitation.plan import plan_excitation
 from beam_ros.excitation.shaping import MoveOrder, shape_for_rig
-from beam_ros.hub.firmware.paced_firmware import PacedFirmware
 from beam_ros.hub.simulated.beam_points import BeamPoints
 from beam_ros.rig.rig import Rig
+from benchmarks.paced_firmware import PacedFirmware
 from tests.firmware.builds import built
 from tests.firmware.test_core import Host, play
 

@@ -13,10 +13,10 @@ import pytest
 from beam_ros.hub.conformance.suite import run_checks
 from beam_ros.hub.emulated.controller import EmulatedController
 from beam_ros.hub.firmware.built_firmware import BuiltFirmware
-from beam_ros.hub.firmware.paced_firmware import PacedFirmware
 from beam_ros.hub.parameters import AxisParameters
 from beam_ros.hub.simulated.plant import RigidPlant
 from benchmarks import firmware_load
+from benchmarks.paced_firmware import PacedFirmware
 from tests.beam_ros.hub.conformance.virtual_line import VirtualLine
 from tests.beam_ros.hub.hub_scenes import rest_to_rest
 from tests.firmware.builds import built

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from beam_ros.hub.emulated.unruly_line import UnrulyLine
+from beam_ros.hub.faults import fault
 from beam_ros.hub.line import protocol
 from beam_ros.hub.line.framing import FrameDecoder
 from beam_ros.hub.parameters import AxisParameters, LinkParameters
@@ -633,6 +634,15 @@ def test_samples_that_the_device_held_back_before_the_connection_was_up_are_not_
     assert counters["lost_ticks"] == counters["strange_ticks"] == 0
 
 
+@pytest.mark.parametrize("watchdog_s", [1.5, 2.0, 4.0])
+def test_a_device_that_held_its_samples_back_from_a_host_that_proves_its_watchdog_has_no_fault(watchdog_s):
+    rig = LoopbackRig(dataclasses.replace(PARAMETERS, watchdog_s=watchdog_s))
+    rig.until(lambda r: r.status.state != "disconnected", 10.0)
+    rig.run(2.0)
+    assert rig.reports[-1].status.state == "identified"
+    assert "telemetry_stopped" not in {r.status.fault.name for r in rig.reports}
+
+
 @pytest.mark.parametrize("wait_ms", [0, 5, 10, 15])
 def test_a_sequence_of_positions_may_follow_at_once_after_homing(wait_ms):
     """What was applied on the way home counts from elsewhere."""
@@ -647,3 +657,41 @@ def test_a_sequence_of_positions_may_follow_at_once_after_homing(wait_ms):
         rig.hub.load(chunk, rig.now)
     (report, *_) = reversed(rig.until(lambda r: any(own.state in ("done", "refused") for own in r.sequences)))
     assert report.sequences[-1].state == "done", report.sequences[-1].reason
+
+
+@pytest.mark.parametrize("frozen_ms", [500, 900, 1500])
+def test_a_host_that_is_frozen_while_it_waits_for_a_connection_takes_no_sample_for_strange(frozen_ms):
+    rig = LoopbackRig(PARAMETERS)
+    rig.connect()
+    rig.client.line_lost(fault("port_lost"), "the cable was pulled")
+    rig.run(0.5)
+    rig.client.line_opened(rig.steady_ns)
+    # The greeting leaves, and what answers it waits until the process goes on.
+    answers = rig.firmware.exchange(rig.client.transmit(rig.steady_ns), rig.device_ns(rig.steady_ns))
+    for _ in range(frozen_ms):
+        rig.steady_ns += rig.STEP_NS
+        answers += rig.firmware.exchange(b"", rig.device_ns(rig.steady_ns))
+    rig.client.receive(answers, rig.steady_ns)
+    rig.until(lambda r: r.status.state == "identified", 10.0)
+    status = rig.run(1.0)[-1].status
+    assert status.fault.name == "none", status.reason
+    assert status.counters["strange_ticks"] == 0
+
+
+@pytest.mark.parametrize("late_ms", [100, 300, 600])
+def test_answers_that_were_late_while_a_connection_came_up_make_no_later_sample_strange(late_ms):
+    """A computer with too much to do: the map of the clock can be wrong by half of what the answers took."""
+    rig = LoopbackRig(PARAMETERS)
+    late: list[tuple[int, bytes]] = []
+
+    def wait(data: bytes) -> bytes:
+        late.append((rig.steady_ns + late_ms * 1_000_000, data))
+        return b"".join(late.pop(0)[1] for _ in range(len([at for at, _ in late if at <= rig.steady_ns])))
+
+    rig.to_host = wait
+    rig.until(lambda r: "clock_sd_ns" in r.status.counters, 10.0)
+    rig.to_host = lambda data: b"".join(late.pop(0)[1] for _ in range(len(late))) + data
+    rig.until(lambda r: r.status.state == "identified", 10.0)
+    status = rig.run(2.0)[-1].status
+    assert status.fault.name == "none", status.reason
+    assert status.counters["strange_ticks"] == 0

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from beam_ros.hub.contract import HostTime
 from beam_ros.hub.emulated.line_board import COUNT, LineBoard
 from beam_ros.hub.link_parameters import CsvColumns
 from beam_ros.hub.links.csv_measurements import CsvMeasurements
@@ -18,22 +17,20 @@ STEADY_NS, SHORTEST_NS = 7_000_000_000, 300_000
 
 
 def _measured(columns: CsvColumns, mean_lateness_ns: float) -> tuple[np.ndarray, ...]:
-    """Return stamps [ns] and positions of three seconds, and where the hub truly was at these stamps [m]."""
+    """Return times [ns] and positions of three seconds, and where the hub truly was then [m]."""
     board = LineBoard(AxisParameters(), RigidPlant(0.8, 1e-3), DEVICE)
     faults: list[str] = []
     lines = CsvMeasurements(columns, lambda name, _: faults.append(name))
-    # Unix time is steady time here, so that stamps are read against the board's clock without a detour.
-    lines.clock(HostTime(STEADY_NS, STEADY_NS))
-    rng, came_ns, batches = np.random.default_rng(5), 0, []
+    rng, came_ns, rows = np.random.default_rng(5), 0, []
     for elapsed_ns in range(0, 3_000_000_000, 1_000_000):
         data = board.exchange(b"", DEVICE.clock_start_ns + round(elapsed_ns * 1.0002))
         came_ns = max(came_ns, elapsed_ns + SHORTEST_NS + round(rng.exponential(mean_lateness_ns)))
-        batches += [m.batch for m in lines.feed(data, STEADY_NS + came_ns) if m.batch is not None]
+        rows += [row for row in lines.feed(data, STEADY_NS + came_ns) if row.steady_ns is not None]
     assert not faults
-    # The newest stamps may lie ahead of what the board has done.
-    stamps = np.array([b.stamp_ns for b in batches])[-400:-20]
+    # The newest times may lie ahead of what the board has done.
+    stamps = np.array([row.steady_ns for row in rows])[-400:-20]
     device_ns = DEVICE.clock_start_ns + np.round((stamps - STEADY_NS) * 1.0002).astype(np.int64)
-    positions = np.array([b.positions[0] for b in batches])[-400:-20]
+    positions = np.array([row.position for row in rows])[-400:-20]
     return stamps, positions, board.axis.snapshots(device_ns).positions
 
 

@@ -18,6 +18,7 @@ import pytest
 from beam_ros.hub.contract import HostTime, HubReport
 from beam_ros.hub.emulated.controller import EmulatedController
 from beam_ros.hub.emulated.dynamixel import EmulatedDynamixel
+from beam_ros.hub.emulated.servo import ServoAxis
 from beam_ros.hub.errors import HubConnectionError
 from beam_ros.hub.faults import fault
 from beam_ros.hub.link_parameters import DynamixelParameters
@@ -125,14 +126,17 @@ class ServoRig(Rig):
         *,
         servo: dict[str, object] | None = None,
         prove_watchdog: bool = True,
+        patience_s: float = 0.0,
         **settings: object,
     ) -> None:
         self.servo = EmulatedDynamixel(
-            parameters, RigidPlant(0.8, 1e-3), DEVICE, metres_per_turn=METRES_PER_TURN, **(servo or {})
+            ServoAxis(parameters, RigidPlant(0.8, 1e-3), DEVICE),
+            metres_per_turn=METRES_PER_TURN,
+            **(servo or {}),
         )
         self.steady = VirtualTime()
         self.bus = VirtualBus(self.steady, self.servo)
-        link = LinkParameters("bus", prove_watchdog=prove_watchdog)
+        link = LinkParameters("bus", prove_watchdog=prove_watchdog, patience_s=patience_s)
         moves = DynamixelParameters(metres_per_turn=METRES_PER_TURN, **settings)
         self.hub = DynamixelHub(parameters, link, moves, port=self.bus, steady=self.steady)
         self.reports = []
@@ -325,6 +329,17 @@ def test_a_hardware_error_is_named_and_stays_until_it_is_cleared_by_a_restart(
     assert {r.status.fault.name for r in rig.reports} == {"none", "drive_alarm"}
 
 
+def test_a_missing_port_is_no_fault_while_it_is_waited_for() -> None:
+    rig = ServoRig(patience_s=2.0)
+    rig.bus.is_plugged = False
+    assert {r.status.fault.name for r in rig.run(1.9)} == {"none"}
+    rig.run(0.5)
+    assert {r.status.fault.name for r in rig.run(1.0)} == {"port_unavailable"}
+    rig.bus.is_plugged = True
+    rig.until(lambda r: r.status.state == "identified")
+    assert rig.reports[-1].status.fault.name == "none"
+
+
 def test_a_connection_clears_no_hardware_error() -> None:
     rig = ServoRig()
     rig.servo.fail(0x20)
@@ -509,7 +524,7 @@ class PortRig(LiveRig):
     def __init__(self, folder: Path, parameters: AxisParameters) -> None:
         def boot(device: SimulatedDevice, _boot_id: int) -> EmulatedDynamixel:
             self.servo = EmulatedDynamixel(
-                parameters, RigidPlant(0.8, 1e-3), device, metres_per_turn=METRES_PER_TURN
+                ServoAxis(parameters, RigidPlant(0.8, 1e-3), device), metres_per_turn=METRES_PER_TURN
             )
             return self.servo
 

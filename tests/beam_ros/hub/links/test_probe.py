@@ -18,6 +18,7 @@ from beam_ros.hub.emulated.controller import EmulatedController
 from beam_ros.hub.emulated.dynamixel import EmulatedDynamixel
 from beam_ros.hub.emulated.line_board import LineBoard
 from beam_ros.hub.emulated.odrive import EmulatedOdrive
+from beam_ros.hub.emulated.servo import ServoAxis
 from beam_ros.hub.line import protocol
 from beam_ros.hub.links.probe import ANSWER_S, probe_line
 from beam_ros.hub.parameters import AxisParameters, SimulatedDevice
@@ -30,8 +31,10 @@ PARAMETERS = AxisParameters(command_mode="velocity")
 PLANT = RigidPlant(0.8, 1e-3)
 BOOTS = {
     "beam": None,
-    "odrive": lambda device, _boot_id: EmulatedOdrive(PARAMETERS, PLANT, device),
-    "dynamixel": lambda device, _boot_id: EmulatedDynamixel(PARAMETERS, PLANT, device, values={7: 11}),
+    "odrive": lambda device, _boot_id: EmulatedOdrive(ServoAxis(PARAMETERS, PLANT, device)),
+    "dynamixel": lambda device, _boot_id: EmulatedDynamixel(
+        ServoAxis(PARAMETERS, PLANT, device), values={7: 11}
+    ),
     "csv": lambda device, _boot_id: LineBoard(PARAMETERS, PLANT, device),
 }
 
@@ -109,7 +112,7 @@ def _old_firmware(data: bytes) -> bytes:
 
 
 def _other_odrive() -> Callable[[bytes], bytes]:
-    odrive = EmulatedOdrive(PARAMETERS, PLANT, SimulatedDevice(), version=(0, 6, 9))
+    odrive = EmulatedOdrive(ServoAxis(PARAMETERS, PLANT, SimulatedDevice()), version=(0, 6, 9))
     return lambda data: odrive.exchange(data, 0) if data else b""
 
 

@@ -25,9 +25,8 @@ from beam_ros.hub.emulated.controller import Firmware
 from beam_ros.hub.emulated.dynamixel import EmulatedDynamixel
 from beam_ros.hub.emulated.emulator import EmulatedFirmware
 from beam_ros.hub.emulated.odrive import EmulatedOdrive
-from beam_ros.hub.emulated.servo import servo_parameters
+from beam_ros.hub.emulated.servo import ServoAxis, servo_parameters
 from beam_ros.hub.emulated.trajectory_controller import EmulatedTrajectoryController, Waypoints
-from beam_ros.hub.firmware.paced_firmware import PacedFirmware
 from beam_ros.hub.links import dynamixel_protocol as table
 from beam_ros.hub.links.motion_plan import MotionPlan
 from beam_ros.hub.links.odrive_protocol import decode_line, encode_line, numbers
@@ -37,6 +36,7 @@ from beam_ros.hub.simulated.beam_points import BeamPoints
 from beam_ros.hub.simulated.motion import HubMotion
 from beam_ros.hub.simulated.plant import Plant, beam_on_axis
 from beam_ros.rig.rig import Rig
+from benchmarks.paced_firmware import PacedFirmware
 from tests.beam_ros.hub.hub_scenes import STEADY_START, UNIX_START, LoopbackRig, chunks_of
 from tests.firmware.builds import built
 
@@ -164,14 +164,16 @@ def _processor(parameters: AxisParameters, plant: Plant) -> PacedFirmware:
     return PacedFirmware(built("stm32f405-plant.elf"), parameters, plant)
 
 
+def _servo(parameters: AxisParameters) -> ServoAxis:
+    return ServoAxis(parameters, _plant(servo_parameters(parameters)), SimulatedDevice())
+
+
 def _by_trajectory(values: np.ndarray, rate: float) -> ModalModel:
     """A JointTrajectoryController at a rate, whose joint states are the input."""
     parameters = RIG.axis_parameters()
     plan = MotionPlan.sequence(values, parameters, 0.0)
     knots = Knots.of(plan, LEAD_NS, 0.0, 0.02)
-    controller = EmulatedTrajectoryController(
-        parameters, _plant(servo_parameters(parameters)), 0, metres_per_unit=0.02
-    )
+    controller = EmulatedTrajectoryController(_servo(parameters), metres_per_unit=0.02)
     controller.receive(Waypoints(knots.start_ns, knots.times_ns, knots.positions, knots.velocities), 1)
     filmed = _Filmed(2)
     for now_ns in range(0, LEAD_NS + round(plan.duration * 1e9), round(1e9 / rate)):
@@ -185,13 +187,7 @@ def _by_odrive(values: np.ndarray) -> ModalModel:
     """An ODrive, 200 uneven questions a second, each stamped to within 0.1 ms."""
     parameters = RIG.axis_parameters()
     plan = MotionPlan.sequence(values, parameters, 0.0)
-    odrive = EmulatedOdrive(
-        parameters,
-        _plant(servo_parameters(parameters)),
-        SimulatedDevice(),
-        metres_per_turn=0.02,
-        closing_s=0.0,
-    )
+    odrive = EmulatedOdrive(_servo(parameters), metres_per_turn=0.02, closing_s=0.0)
     odrive.exchange(b"w axis0.controller.config.vel_limit 25\nw axis0.requested_state 8\n", 0)
     rng = np.random.default_rng(3)
     filmed = _Filmed(3)
@@ -211,10 +207,7 @@ def _by_dynamixel(values: np.ndarray) -> ModalModel:
     per_turn = 0.032
     parameters = RIG.axis_parameters()
     plan = MotionPlan.sequence(values, parameters, 0.0)
-    plant = _plant(servo_parameters(parameters))
-    servo = EmulatedDynamixel(
-        parameters, plant, SimulatedDevice(), metres_per_turn=per_turn, values={11: 4, 9: 0}
-    )
+    servo = EmulatedDynamixel(_servo(parameters), metres_per_turn=per_turn, values={11: 4, 9: 0})
     servo.exchange(table.encode_sync_write(1, table.TORQUE_ENABLE, 1), 0)
     rng = np.random.default_rng(4)
     filmed = _Filmed(6, resolution=per_turn / table.COUNTS)

@@ -8,6 +8,7 @@ import time
 import numpy as np
 import pytest
 
+from beam_ros.hub.emulated.servo import ServoAxis
 from beam_ros.hub.emulated.trajectory_controller import (
     EmulatedTrajectoryController,
     Waypoints,
@@ -16,7 +17,7 @@ from beam_ros.hub.emulated.trajectory_controller import (
 from beam_ros.hub.link_parameters import TrajectoryParameters
 from beam_ros.hub.links.motion_plan import MotionPlan
 from beam_ros.hub.links.trajectory import SILENCE_NS, Knots, TrajectoryHub, settings_objection
-from beam_ros.hub.parameters import AxisParameters
+from beam_ros.hub.parameters import AxisParameters, SimulatedDevice
 from beam_ros.hub.simulated.plant import RigidPlant
 from tests.beam_ros.hub.hub_scenes import LiveRig, chunks_of, rest_to_rest
 
@@ -123,7 +124,8 @@ class ControllerRig(LiveRig):
         self, parameters: AxisParameters = ACCELERATION, start: float = 0.0, **settings: object
     ) -> None:
         self.controller = EmulatedTrajectoryController(
-            parameters, RigidPlant(0.8, 1e-3), time.time_ns(), metres_per_unit=0.02
+            ServoAxis(parameters, RigidPlant(0.8, 1e-3), SimulatedDevice(clock_start_ns=time.time_ns())),
+            metres_per_unit=0.02,
         )
         self.sent: list[Knots] = []
         self.stamps_ns: list[int] = []

@@ -1,4 +1,4 @@
-"""Requests that the host itself answers: numbered, and their answers kept for the next report."""
+"""Answers to requests: numbered in the order of asking, and kept until the next report."""
 
 from __future__ import annotations
 
@@ -17,9 +17,19 @@ class Answers:
         self._newest += 1
         return self._newest
 
-    def add(self, number: int, success: bool, message: str) -> None:
+    def add(self, number: int, outcome: Outcome) -> None:
         """Answer a request."""
-        self._waiting.append((number, Outcome(success, message)))
+        self._waiting.append((number, outcome))
+
+    def give(self, outcome: Outcome) -> int:
+        """Answer a new request at once; return its number."""
+        self.add(self.begin(), outcome)
+        return self._newest
+
+    @property
+    def are_there(self) -> bool:
+        """Whether ``take`` has something to return."""
+        return bool(self._waiting)
 
     def take(self) -> list[tuple[int, Outcome]]:
         """Return what was answered since the last call."""
