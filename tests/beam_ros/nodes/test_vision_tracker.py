@@ -411,7 +411,7 @@ def test_calibration_against_the_hubs_encoder_finds_scale_zero_and_their_deviati
                 hub.publish(messages.hub_state(graph.types, messages.HubSample(scene.stamp(), x)))
             camera.publish(scene.image(frames[k % 4]))
             k += 1
-            graph.spin(0.004)
+            graph.spin(0.02)
         return future.result()
 
     refused = graph.call("tracker/fit_calibration", "/measured")
