@@ -138,20 +138,14 @@ def identification_page(
     page.section("Verdict")
     add_verdict(page, judge(result, gates, validation, agreement))
     page.section("Modes")
-    if modes:
-        add_modes(page, modes, doubts)
-    else:
-        page.paragraph("The outputs follow a rigid body, and no mode stands out of the noise.")
+    add_modes(page, modes, doubts)
     _add_fit(page, result, outputs)
     add_response(page, shown, models, modes)
     page.section("Validation")
     add_validation(page, validation)
-    # What was asked for by itself stands on the sheet.
     if curves is not None:
-        page.section("Over amplitude")
         _add_curves(page, curves, modes, theory)
     if axis is not None:
-        page.section("Axis")
         _add_axis(page, axis)
     if best_linear is not None:
         page.section("Noise and distortion")
@@ -169,25 +163,13 @@ def identification_page(
     add_poles(page, models, modes, _reference(reference_modes, theory, modes), known)
     for model in models:
         add_shapes(page, model, theory, known)
-    page.section("Data quality")
-    if gates:
-        add_gates(page, gates)
-    for note in notes:
-        page.warning(f"{note}.", tone="doubt")
-    add_records(page, records)
+    _add_data(page, records, gates, notes)
     page.section("Model")
     add_equation(page, models, records[0])
     page.section("Residuals")
     _add_residuals(page, outputs, modes)
     if page.draws:
-        page.section("Frequency response")
-        if shown is not longest:
-            begin, end = shown.outputs[0].times_s[[0, -1]]
-            page.paragraph(
-                f"The record is long: frequency responses and stabilisation are those of {begin:.0f} to {end:.0f} s, "
-                "where its input moves most. The fit is that of all of it."
-            )
-        add_frequency_domain(page, shown, models, modes)
+        _add_frequency_response(page, shown, longest, models, modes)
     page.section("Order")
     _add_orders(page, result)
     if page.draws:
@@ -203,6 +185,34 @@ def identification_page(
         add_trials(page, trials)
     page.provenance(provenance or {})
     return page
+
+
+def _add_data(page: Page, records: Sequence[TimeRecord], gates: Sequence[Gate], notes: Sequence[str]) -> None:
+    """Add what was looked at in the data before the fit."""
+    page.section("Data quality")
+    if gates:
+        add_gates(page, gates)
+    for note in notes:
+        page.warning(f"{note}.", tone="doubt")
+    add_records(page, records)
+
+
+def _add_frequency_response(
+    page: Page,
+    shown: TimeRecord,
+    longest: TimeRecord,
+    models: Sequence[Any],
+    modes: Sequence[ModeRow],
+) -> None:
+    """Add the frequency responses of a record, or of the stretch of it that moves most."""
+    page.section("Frequency response")
+    if shown is not longest:
+        begin, end = shown.outputs[0].times_s[[0, -1]]
+        page.paragraph(
+            f"The record is long: frequency responses and stabilisation are those of {begin:.0f} to {end:.0f} s, "
+            "where its input moves most. The fit is that of all of it."
+        )
+    add_frequency_domain(page, shown, models, modes)
 
 
 def _add_assumptions(
@@ -273,6 +283,7 @@ def _add_curves(
     page: Page, curves: AmplitudeCurves, modes: Sequence[ModeRow], theory: Theory | None = None
 ) -> None:
     """Write how frequency and damping change with amplitude."""
+    page.section("Over amplitude")
     page.paragraph(sentence(curves.verdict))
     if not curves.is_one_pole:
         page.warning(
@@ -302,6 +313,7 @@ def _add_curves(
 
 def _add_axis(page: Page, axis: AxisResult) -> None:
     """Write mass and friction of the axis, and how far its records bear them out."""
+    page.section("Axis")
     rows = []
     for name, unit, value, sd in zip(
         axis.names, axis.units, axis.estimates, axis.standard_deviations, strict=True

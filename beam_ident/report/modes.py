@@ -30,6 +30,9 @@ _TURN = 2.0 * np.pi
 
 def add_modes(page: Page, modes: Sequence[ModeRow], doubts: Sequence[str] = ()) -> None:
     """Add the table of modes with 95 % intervals."""
+    if not modes:
+        page.paragraph("The outputs follow a rigid body, and no mode stands out of the noise.")
+        return
     rows = []
     for k, mode in enumerate(modes):
         of_omega, of_zeta = mode.of_omega, mode.of_zeta
