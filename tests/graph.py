@@ -16,6 +16,9 @@ from beam_ros.interfaces.graph import QualityOfService
 from beam_ros.messages import RosTypes
 from beam_ros.shell.node import qos_profile
 
+HANG_S = 60.0
+"""Nothing that works takes so long on the busiest computer [s]: a limit that ends what hangs, and no assertion."""
+
 
 class Graph:
     """A node of the test's, spun only inside its methods."""
@@ -47,7 +50,7 @@ class Graph:
         while time.monotonic() < end:
             rclpy.spin_once(self.node, timeout_sec=0.02)
 
-    def wait(self, condition: Callable[[], bool], what: str, timeout_s: float = 10.0) -> None:
+    def wait(self, condition: Callable[[], bool], what: str, timeout_s: float = HANG_S) -> None:
         """Spin until a condition holds; fail after the time limit."""
         end = time.monotonic() + timeout_s
         while not condition():

@@ -45,7 +45,7 @@ class RunningExecutable:
         """Everything printed so far."""
         return self.log.read_text(errors="replace")
 
-    def wait_for(self, text: str, timeout_s: float = 10.0) -> str:
+    def wait_for(self, text: str, timeout_s: float = 60.0) -> str:
         """Wait until `text` has been printed; return the whole output."""
         end = time.monotonic() + timeout_s
         while text not in self.output():
@@ -62,7 +62,7 @@ class RunningExecutable:
         """Send a signal to the executable alone."""
         self.process.send_signal(number)
 
-    def wait(self, timeout_s: float = 10.0) -> int:
+    def wait(self, timeout_s: float = 60.0) -> int:
         """Wait for the end and return the exit status; fail the test when it does not come."""
         try:
             return self.process.wait(timeout_s)
@@ -83,7 +83,7 @@ class Executables:
         name: str,
         *arguments: str,
         environment: Mapping[str, str] | None = None,
-        timeout_s: float = 60.0,
+        timeout_s: float = 180.0,
         program: Sequence[str] = (),
     ) -> RunningExecutable:
         """Start an executable in a process group of its own.
@@ -115,7 +115,7 @@ class Executables:
         self._running.append(running)
         return running
 
-    def run(self, name: str, *arguments: str, timeout_s: float = 60.0) -> RunningExecutable:
+    def run(self, name: str, *arguments: str, timeout_s: float = 180.0) -> RunningExecutable:
         """Run an executable to its end."""
         running = self.start(name, *arguments, timeout_s=timeout_s + 5.0)
         running.wait(timeout_s)

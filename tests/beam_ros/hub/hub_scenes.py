@@ -244,6 +244,10 @@ class LiveRig(Rig):
     def now(self) -> HostTime:
         return HostTime(time.monotonic_ns(), time.time_ns())
 
+    def until(self, condition: Callable[[HubReport], bool], timeout_s: float = 60.0) -> list[HubReport]:
+        """Poll until a report fulfils a condition; the limit only ends what hangs."""
+        return super().until(condition, timeout_s)
+
     def run(self, seconds: float) -> list[HubReport]:
         end = time.monotonic() + seconds
         new = []

@@ -72,7 +72,7 @@ def _subscriptions(graph, rig):
 def _settled(graph, look):
     """What both rigs show; discovery brings one thing after the other, so until it is the same or time is over."""
     with contextlib.suppress(AssertionError):
-        graph.wait(lambda: look(graph, "a") == look(graph, "b"), "agreement", 10.0)
+        graph.wait(lambda: look(graph, "a") == look(graph, "b"), "agreement")
     return look(graph, "a"), look(graph, "b")
 
 
@@ -165,26 +165,26 @@ def test_a_clock_that_jumps_is_an_error_everywhere_and_the_state_is_published_no
     _wait_for_clock(rigs)
     for service in ("home", "enable"):
         _call(rigs, f"/b/hub/{service}", "SetBool" if service == "enable" else "Trigger", True)
-    rigs.wait(lambda: modes and modes[-1]["state"] == "enabled" and states, "the enabled hub", 10.0)
+    rigs.wait(lambda: modes and modes[-1]["state"] == "enabled" and states, "the enabled hub")
     set_class = rigs.types.service_class("rcl_interfaces/srv/SetParameters")
     parameter = rigs.types.message_class("rcl_interfaces/msg/Parameter")(name="faults.request")
     parameter.value.type, parameter.value.string_value = 4, "{fault: step, seconds: 30}"
     client = rigs.node.create_client(set_class, "/b/firmware_emulator/set_parameters")
     rigs.wait(client.service_is_ready, "the emulator's parameters")
     client.call_async(set_class.Request(parameters=[parameter]))
-    rigs.wait(lambda: modes[-1]["state"] == "fault", f"the fault ({modes})", 10.0)
+    rigs.wait(lambda: modes[-1]["state"] == "fault", f"the fault ({modes})")
     assert modes[-1]["fault"]["name"] == "clock_jumped"
     assert "expected" in modes[-1]["reason"]
     n_states = len(states)
     levels.clear()
-    rigs.wait(lambda: bool(levels), "diagnostics", 5.0)
+    rigs.wait(lambda: bool(levels), "diagnostics")
     assert levels[-1].level == "ERROR"
     assert levels[-1].message.startswith("fault: ")
     rigs.spin(0.5)
     assert len(states) <= n_states + 1
     _call(rigs, "/b/hub/clear_fault", "Trigger", True)
-    rigs.wait(lambda: modes[-1]["state"] == "identified", "the end of the fault", 5.0)
-    rigs.wait(lambda: len(states) > n_states + 5, "the state's return", 5.0)
+    rigs.wait(lambda: modes[-1]["state"] == "identified", "the end of the fault")
+    rigs.wait(lambda: len(states) > n_states + 5, "the state's return")
 
 
 def _call(graph, service, kind, value):

@@ -114,7 +114,7 @@ def test_a_hub_that_is_killed_under_a_sequence_is_missed_and_another_one_takes_t
     hub.send_signal(signal.SIGKILL)
     hub.wait()
     sentences.clear()
-    graph.wait(lambda: any(": lost: " in s for s in sentences), "the loss in the diagnostics", 10.0)
+    graph.wait(lambda: any(": lost: " in s for s in sentences), "the loss in the diagnostics")
     refusal = _answer(graph, "excitation/start")
     assert not refusal.success
     assert "hub has been silent" in refusal.message or "nobody listens" in refusal.message
@@ -139,11 +139,11 @@ def test_a_long_sequence_is_handed_over_and_starts(executables, graph, minutes: 
     graph.wait(lambda: bool(states) and states[-1]["state"] != "loading", "a verdict", 60.0)
     assert states[-1]["state"] == "ready", states[-1]
     assert states[-1]["points"] > 60_000 * minutes
-    graph.wait(future.done, "an answer", 5.0)
+    graph.wait(future.done, "an answer")
     assert future.result().success, future.result().message
     graph.wait(lambda: states[-1]["state"] == "running", "a sequence that runs", 40.0)
     assert graph.call("excitation/stop").success
-    graph.wait(lambda: states[-1]["state"] == "aborted", "the end", 5.0)
+    graph.wait(lambda: states[-1]["state"] == "aborted", "the end")
 
 
 def test_a_stop_that_the_hub_does_not_answer_is_told_of(executables, graph) -> None:

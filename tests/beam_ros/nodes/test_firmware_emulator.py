@@ -69,7 +69,7 @@ def test_a_fault_on_request_shows_in_the_mode_with_its_row_and_what_is_no_fault_
     # Latched: who comes later hears at once where the hub stands.
     late: list[dict[str, object]] = []
     graph.listen("hub/mode", lambda message: late.append(messages.read_json(message)))
-    graph.wait(lambda: bool(late), "the latched mode", 5.0)
+    graph.wait(lambda: bool(late), "the latched mode")
     assert late[0] in modes
     graph.wait(lambda: modes[-1]["state"] == "identified", "the driver back", 20.0)
     assert modes[-1]["fault"] is None

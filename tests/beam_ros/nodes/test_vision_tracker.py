@@ -339,7 +339,7 @@ def test_a_device_that_is_missing_comes_and_vanishes_is_said_and_the_node_lives_
     device = scene.folder / "video7"
     scene.complaint("device", "video7 is not there")
     shutil.copy(scene.folder / "film.avi", device)
-    scene.graph.wait(lambda: len(seen.displacements) >= 20, "displacements", 10.0)
+    scene.graph.wait(lambda: len(seen.displacements) >= 20, "displacements")
     scene.complaint("device", "set it to arrival", "WARN")
     device.unlink()
     seen.health.clear()

@@ -99,7 +99,7 @@ def _frozen_and_asked(graph, hub) -> None:
         positions.clear()
     finally:
         hub.send_signal(signal.SIGCONT)
-    graph.wait(lambda: all(future.done() for future in futures), "three answers", 10.0)
+    graph.wait(lambda: all(future.done() for future in futures), "three answers")
     for future in futures[:2]:
         assert not future.result().success
         assert "was frozen for " in future.result().message
@@ -108,7 +108,7 @@ def _frozen_and_asked(graph, hub) -> None:
     graph.spin(1.0)
     assert len(set(positions)) == 1, positions
     sentences.clear()
-    graph.wait(lambda: any("homed" in s or "enabled" in s for s in sentences), "a state", 5.0)
+    graph.wait(lambda: any("homed" in s or "enabled" in s for s in sentences), "a state")
     assert not any("enabled" in s for s in sentences)
     assert _ask(graph, "hub/enable").success
 

@@ -45,7 +45,7 @@ def test_a_malformed_chunk_refuses_its_sequence_at_once_and_the_next_one_is_take
         sequence.publish(encode_chunk(good, "acceleration"))
         graph.wait(lambda: bool(states) and states[-1]["id"] == name, "the first chunk")
         sequence.publish(spoil(bad))
-        graph.wait(lambda: states[-1]["state"] == "refused", "a refusal", 2.0)
+        graph.wait(lambda: states[-1]["state"] == "refused", "a refusal")
         assert states[-1]["id"] == name
         assert reason in states[-1]["reason"]
 
@@ -90,4 +90,4 @@ def test_of_a_flood_of_set_points_the_newest_of_each_spin_is_checked(executables
     publisher.publish(
         messages.setpoint(graph.types, messages.StampedSetpoint(time.time_ns(), "velocity", 0.0))
     )
-    graph.wait(lambda: refused() == before + 1, "the last of all", 5.0)
+    graph.wait(lambda: refused() == before + 1, "the last of all")

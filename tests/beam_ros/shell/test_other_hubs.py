@@ -54,4 +54,4 @@ def test_a_hub_that_comes_unseen_is_reported_by_the_one_that_is_there(executable
     finally:
         rival.destroy_node()
     health.clear()
-    graph.wait(lambda: any(h.hardware_id == "hub" and h.level == "OK" for h in health), "health again", 10.0)
+    graph.wait(lambda: any(h.hardware_id == "hub" and h.level == "OK" for h in health), "health again")

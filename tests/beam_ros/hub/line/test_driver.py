@@ -478,7 +478,7 @@ def test_a_greeting_that_is_answered_late_is_answered_all_the_same(driver, emula
     server = SerialServer(emulator.port, delay_s=delay_s)
     try:
         rig = driver(server.url)
-        rig.until(connected, 8.0)
+        rig.until(connected)
         reports = rig.run(1.5)
         assert all(map(connected, reports)), told(rig)
         assert reports[-1].status.counters["connections"] == 1, told(rig)
@@ -592,7 +592,7 @@ def _flap(rig: DriverRig, seconds: float) -> None:
         rig.emulator.plug()
         rig.run(10 ** rng.uniform(-2.7, 0.3))
         rig.reports[:-1] = []
-    rig.until(lambda r: connected(r) and bool(r.measured), 10.0)
+    rig.until(lambda r: connected(r) and bool(r.measured))
     rig.enable()
 
 
@@ -615,7 +615,7 @@ def test_a_poll_that_follows_on_news_finds_some(tmp_path):
             rig.hub.poll(rig.now)
             told.clear()
             # A batch comes every 20 ms; nobody polls in vain meanwhile.
-            assert told.wait(2.0)
+            assert told.wait(60.0)
             report = rig.hub.poll(rig.now)
             assert report.measured or report.completed
     finally:

@@ -68,7 +68,7 @@ def _measured(reports) -> tuple[np.ndarray, np.ndarray]:
 @pytest.mark.parametrize("columns", [COLUMNS, CsvColumns(position=2, position_scale=COUNT)])
 def test_every_line_is_a_measurement_with_a_stamp_of_its_own(start, columns) -> None:
     rig = start(columns)
-    rig.until(lambda r: bool(r.measured), 10.0)
+    rig.until(lambda r: bool(r.measured))
     stamps, positions = _measured(rig.run(3.0))
     assert len(stamps) > 100
     assert np.all(np.diff(stamps) > 0)
@@ -103,7 +103,7 @@ def test_every_command_is_refused_with_the_reason(start) -> None:
 )
 def test_what_a_board_cannot_mean_is_a_fault_until_it_is_cleared(start, text, name) -> None:
     rig = start()
-    rig.until(lambda r: bool(r.measured), 10.0)
+    rig.until(lambda r: bool(r.measured))
     # The counter has wrapped, and goes back behind no zero.
     rig.run(2.0)
     rig.emulator.bring_about(read_schedule(text, "test", rig.emulator.elapsed))
@@ -136,7 +136,7 @@ def test_a_process_that_was_frozen_does_not_take_its_board_for_silent(start, mon
         return read(timeout_s)
 
     monkeypatch.setattr(transport, "read", freeze_and_read)
-    assert begun.wait(2.0)
+    assert begun.wait(60.0)
     time.sleep(frozen_s)
     reports = rig.run(0.5)
     assert all(r.status.state == "identified" for r in reports)

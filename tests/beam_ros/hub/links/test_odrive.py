@@ -86,7 +86,7 @@ def start(tmp_path):
 
 
 def connected(rig: OdriveRig) -> OdriveRig:
-    rig.until(lambda r: r.status.state == "identified", 10.0)
+    rig.until(lambda r: r.status.state == "identified")
     return rig
 
 
@@ -177,7 +177,7 @@ def test_the_axis_runs_a_sequence_and_reports_what_was_written_and_when(start) -
     start_ns = rig.now.unix_ns + 400_000_000
     for chunk in chunks_of(values, start_ns):
         rig.hub.load(chunk, rig.now)
-    reports = rig.until(lambda r: any(s.state == "done" for s in r.sequences), 8.0) + rig.run(0.1)
+    reports = rig.until(lambda r: any(s.state == "done" for s in r.sequences)) + rig.run(0.1)
     plan = MotionPlan.sequence(values, PATIENT, 0.0)
     for name, tolerance in (("applied", 1e-12), ("measured", 2e-4)):
         batches = [b for r in reports for b in getattr(r, name)]
@@ -266,14 +266,14 @@ def test_a_fault_of_the_drive_is_named_and_stays_until_it_is_cleared(start, firm
 def test_a_connection_clears_no_fault_of_the_drive(start) -> None:
     """Neither the first one of a new host nor one after a pulled cable: only hub/clear_fault does."""
     rig = start(faults={"axis0.encoder.error": 0x4})
-    status = rig.until(lambda r: r.status.state == "fault", 10.0)[-1].status
+    status = rig.until(lambda r: r.status.state == "fault")[-1].status
     assert (status.fault.name, rig.property("encoder.error")) == ("drive_alarm", 0x4)
     assert "axis0.encoder.error NO_RESPONSE" in status.reason
     rig.emulator.unplug()
     rig.until(lambda r: r.status.state == "disconnected")
     rig.odrive.fail("axis0.controller.error", 0x80)
     rig.emulator.plug()
-    rig.until(lambda r: r.status.state == "fault", 10.0)
+    rig.until(lambda r: r.status.state == "fault")
     assert (rig.property("encoder.error"), rig.property("controller.error")) == (0x4, 0x80)
     # What came beside it nobody was told yet: it becomes the fault.
     clear(rig)
@@ -352,7 +352,7 @@ def test_a_pulled_cable_loses_the_axis_and_the_drive_stops_by_itself(start) -> N
     rig.run(1.5)
     assert rig.odrive.axis.velocity == 0.0
     rig.emulator.plug()
-    rig.until(lambda r: r.status.state == "identified", 10.0)
+    rig.until(lambda r: r.status.state == "identified")
     assert rig.property("error") == 0
 
 
@@ -411,6 +411,6 @@ def test_noise_on_the_line_never_passes_for_a_position(start) -> None:
         rig.emulator.inject(bytes(rng.integers(32, 127, 6, dtype=np.uint8)) + b"1.5 0.2\r\n" * 2)
         rig.run(0.02)
     positions = np.array([b.positions[0] for r in rig.reports for b in r.measured])
-    rig.until(lambda r: r.status.state == "identified", 10.0)
+    rig.until(lambda r: r.status.state == "identified")
     assert np.ptp(positions) < 1e-9
     assert rig.reports[-1].status.counters["lost_answers"] > 0

@@ -184,7 +184,7 @@ def _run(rig: ControllerRig, values: np.ndarray) -> tuple[list, int]:
     for chunk in chunks_of(values, start_ns):
         rig.hub.load(chunk, rig.now)
     ends = ("done", "refused", "aborted", "underrun")
-    reports = rig.until(lambda r: any(s.state in ends for s in r.sequences), 8.0)
+    reports = rig.until(lambda r: any(s.state in ends for s in r.sequences))
     return reports + rig.run(0.1), start_ns
 
 
@@ -322,7 +322,7 @@ def test_joint_states_that_stop_under_a_sequence_stop_it(start) -> None:
     rig.until(lambda r: r.status.activity == "sequence")
     rig.run(0.3)
     rig.is_running = False
-    reports = rig.until(lambda r: r.status.state == "disconnected", 3.0)
+    reports = rig.until(lambda r: r.status.state == "disconnected")
     assert [s.state for r in reports for s in r.sequences] == ["aborted"]
     # The controller was told to brake, and is heard to rest again.
     assert rig.sent[-1].velocities[-1] == 0.0
@@ -404,7 +404,7 @@ def test_a_controller_whose_settings_are_refused_under_a_sequence_is_stopped_and
     rig.until(lambda r: r.status.activity == "sequence")
     rig.run(0.3)
     rig.hub.judge("it bends straight lines")
-    status = rig.until(lambda r: r.status.state == "disconnected", 3.0)[-1].status
+    status = rig.until(lambda r: r.status.state == "disconnected")[-1].status
     assert (status.fault.name, status.reason) == ("wrong_axis", "it bends straight lines")
     assert rig.sent[-1].velocities[-1] == 0.0
     assert rig.sent[-1].times_ns[-2] < 100_000_000
