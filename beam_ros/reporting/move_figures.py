@@ -78,5 +78,5 @@ def command_figure(choice: Choice) -> Figure:
     for axis, label in zip(axes[0], ("acceleration [m/s²]", "speed [m/s]", "way [mm]"), strict=True):
         axis.set_ylabel(label)
         axis.set_xlabel("time [s]")
-    axes[0, 0].legend(frameon=False, fontsize=8)
+    axes[0, 2].legend(frameon=False, fontsize=8, loc="lower right")  # where no move has come yet
     return figure

@@ -12,6 +12,7 @@ from beam_ident import ModalModel
 from beam_ident.amplitude.curves import AmplitudeCurves, amplitude_curves
 from beam_ident.amplitude.free_stretches import free_decay_of
 from beam_ident.report.page import Page
+from beam_ident.report.quantities import sentence
 from beam_ident.shaping.choice import JudgedMove
 from beam_ident.shaping.known_beam import AxisErrors
 from beam_ros.bags.errors import BagError
@@ -146,7 +147,7 @@ def format_move(content: Mapping[str, Any]) -> str:
         "",
         "output   predicted swing [um]   95 % interval [um]",
         *(
-            f"{name:<8} {1e6 * own['median']:>20.3g}   {1e6 * own['low']:.3g} to {1e6 * own['high']:.3g}"
+            f"{name:<8} {_um(own['median']):>20}   {_um(own['low'])} to {_um(own['high'])}"
             for name, own in chosen["swings"].items()
         ),
         "",
@@ -167,12 +168,18 @@ def _worst(trial: Mapping[str, Any]) -> Mapping[str, float]:
 
 def _row(trial: Mapping[str, Any]) -> str:
     own = _worst(trial)
-    interval = f"{1e6 * own['low']:.3g} to {1e6 * own['high']:.3g}"
+    interval = f"{_um(own['low'])} to {_um(own['high'])}"
     words = f"  {trial['objection']}" if trial["objection"] else ""
     return (
-        f"{trial['name']:<40} {trial['duration_s']:>7.3f} s {1e6 * own['median']:>7.3g} um {interval:>19} um "
+        f"{trial['name']:<40} {trial['duration_s']:>7.3f} s {_um(own['median']):>7} um {interval:>19} um "
         f"{_percent(trial['probability_above_aim']):>10}{words}"
     )
+
+
+def _um(metres: float) -> str:
+    """Return a length in micrometres with three digits, and none behind the point where it is long."""
+    text = f"{1e6 * metres:.3g}"
+    return text if "e+" not in text else f"{float(text):.0f}"
 
 
 def _percent(share: float) -> str:
@@ -207,19 +214,20 @@ def add_move(page: Page, found: RigMove) -> None:
     """Add tables and pictures of a move to a page."""
     content = describe_move(found)
     for note in found.notes:
-        page.warning(note, tone="doubt")
+        page.warning(sentence(note), tone="doubt")
+    beside = [trial for trial in content["shapers"] if trial["name"] != content["chosen"]["name"]]
     page.table(
         ("move", "duration [s]", "swing [um]", "95 % interval [um]", "above the aim", "limits"),
         [
             (
                 trial["name"],
                 f"{trial['duration_s']:.3f}",
-                f"{1e6 * _worst(trial)['median']:.3g}",
-                f"{1e6 * _worst(trial)['low']:.3g} to {1e6 * _worst(trial)['high']:.3g}",
+                _um(_worst(trial)["median"]),
+                f"{_um(_worst(trial)['low'])} to {_um(_worst(trial)['high'])}",
                 _percent(trial["probability_above_aim"]),
                 trial["objection"] or "kept",
             )
-            for trial in (content["chosen"], *content["shapers"], *content["others"])
+            for trial in (content["chosen"], *beside, *content["others"])
         ],
         "The chosen move first, then the shortest that each shaper allows, then what stands for comparison: the "
         "S-curve within the same limits, the same as long as the chosen move, filters, and shapers for the frequency "
