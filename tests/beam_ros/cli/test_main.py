@@ -54,7 +54,7 @@ def _write(folder: Path, text: str) -> None:
         (("design", "-p", "excitation.acceleration:=3.0"), ("predicted tip deflection", "lower")),
         (("design", "--optimal", "E"), ("criterion is 'E'", "expected D, A or c:NAME")),
         (("design", "--from", "model.json"), ("--from goes with --optimal alone",)),
-        (("design", "--optimal", "--from", "nowhere.json"), ("nowhere.json", "cannot be read")),
+        (("design", "--optimal", "--from", "nowhere.json"), ("nowhere.json", "is not there")),
         (("design", "--save", "rig.yaml"), ("rig.yaml exists", "another --save")),
         (("identify", "nowhere"), ("nowhere", "does not exist")),
         (("identify", "."), ("holds neither", "expected")),
