@@ -54,6 +54,11 @@ class ModeChange:
         first = hertz * (1.0 + self.share * self.begins)
         return first, first + hertz * self.share
 
+    @property
+    def runs_forward(self) -> bool:
+        """Whether the frequency stays above zero all along; else this is no mode that changes."""
+        return min(self.ends_hz) > 0.0
+
     def pace(self, times: FloatArray) -> FloatArray:
         """Return how fast the mode's own time runs at instants of the record."""
         return np.asarray(1.0 + self.share * self.course(times))

@@ -40,7 +40,12 @@ class ModeChanges(SearchMove):
         following = estimate(replace(conditions, terms=terms, start=start), present)
         gain = fit.cost - following.weighed.fit.cost
         pays = gain > 0.5 * _price(search.plain.n_samples, search.plain.n_outputs, 2 * len(fit.omegas))
-        return following if pays and not following.leaves_more_than(present) else None
+        # What would move on by more than it is has not settled anywhere.
+        has_settled = all(
+            own.runs_forward and abs(further) < abs(own.share - further)
+            for own, further, _ in following.search.clocks.estimated_changes(following.weighed.fit)
+        )
+        return following if pays and has_settled and not following.leaves_more_than(present) else None
 
     def _settled(
         self, search: TimeSearch, changes: tuple[ModeChange, ...]

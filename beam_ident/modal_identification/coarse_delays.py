@@ -60,7 +60,8 @@ def coarse_delays(records: Sequence[TimeRecord], input_name: str, near_s: float 
             continue
         noise = float(np.mean(others)) * 2.0 * np.log(len(powers))
         if powers[place] > _CERTAIN * noise and powers[place] > _NEXT * float(np.max(others)):
-            found[name] = (place - n_lags) * step
+            # Half a step less: moved by a delay, no stamp falls on an end of the input by rounding alone.
+            found[name] = (place - n_lags - 0.5) * step
     return found
 
 
@@ -87,9 +88,10 @@ def _phase_correlation(
     drive, output = record.input(input_name), record.output(name)
     seen = output.is_valid
     grid = np.arange(*_span(record, input_name, name), step)
-    # Both fade at their ends, which would else be what most lines show: those at which nothing moves.
-    u = _faded(np.interp(grid, drive.times_s, drive.values))
-    y = _faded(np.interp(grid, output.times_s[seen], output.values[seen]))
+    # A line from the first to the last value is taken out: what is left has no jump at its ends, but a kink. Lines at
+    # which nothing moves show little else: as both signals begin and end together, it speaks for no delay.
+    u = _without_line(np.interp(grid, drive.times_s, drive.values))
+    y = _without_line(np.interp(grid, output.times_s[seen], output.values[seen]))
     size = 2 ** int(np.ceil(np.log2(2 * len(grid))))
     cross = np.fft.rfft(y, size) * np.conj(np.fft.rfft(u, size))
     cross[np.fft.rfftfreq(size) > 1.0 / _PER_CYCLE] = 0.0  # of a step: above, an output shows aliases
@@ -97,6 +99,5 @@ def _phase_correlation(
     return np.asarray(np.concatenate([correlation[-n_lags:], correlation[: n_lags + 1]]))
 
 
-def _faded(values: FloatArray) -> FloatArray:
-    """Return values without the line from the first to the last, which fade in and out."""
-    return np.asarray((values - np.linspace(values[0], values[-1], len(values))) * np.hanning(len(values)))
+def _without_line(values: FloatArray) -> FloatArray:
+    return np.asarray(values - np.linspace(values[0], values[-1], len(values)))
