@@ -46,8 +46,8 @@ def coarse_delays(records: Sequence[TimeRecord], input_name: str, near_s: float 
         if not all(np.isfinite(steps)):
             continue
         step = max(steps)
-        spans = [_span(record, input_name, name) for record in with_it]
-        n_lags = int(0.5 * min(last - first for first, last in spans) / step)
+        shortest = min(float(np.ptp(record.input(input_name).times_s)) for record in with_it)
+        n_lags = int(0.5 * shortest / step)
         if n_lags < _MIN_SAMPLES:
             continue
         powers = np.zeros(2 * n_lags + 1)
@@ -60,8 +60,7 @@ def coarse_delays(records: Sequence[TimeRecord], input_name: str, near_s: float 
             continue
         noise = float(np.mean(others)) * 2.0 * np.log(len(powers))
         if powers[place] > _CERTAIN * noise and powers[place] > _NEXT * float(np.max(others)):
-            # Half a step less: moved by a delay, no stamp falls on an end of the input by rounding alone.
-            found[name] = (place - n_lags - 0.5) * step
+            found[name] = (place - n_lags) * step
     return found
 
 
@@ -74,22 +73,15 @@ def _step(record: TimeRecord, name: str) -> float:
     return float(np.median(np.diff(times))) / (_BAND * _PER_CYCLE)
 
 
-def _span(record: TimeRecord, input_name: str, name: str) -> tuple[float, float]:
-    """Return from when to when both an input and an output are known [s]."""
-    drive, output = record.input(input_name), record.output(name)
-    times = output.times_s[output.is_valid]
-    return max(drive.span_s[0], float(times[0])), min(drive.span_s[1], float(times[-1]))
-
-
 def _phase_correlation(
     record: TimeRecord, input_name: str, name: str, step: float, n_lags: int
 ) -> FloatArray:
     """Return the correlation of an output with the input at lags from -n to n steps, all lines of equal weight."""
     drive, output = record.input(input_name), record.output(name)
     seen = output.is_valid
-    grid = np.arange(*_span(record, input_name, name), step)
-    # A line from the first to the last value is taken out: what is left has no jump at its ends, but a kink. Lines at
-    # which nothing moves show little else: as both signals begin and end together, it speaks for no delay.
+    first, last = drive.span_s
+    grid = np.arange(first, last, step)
+    # A line from the first to the last value is taken out: what is left has no jump at its ends.
     u = _without_line(np.interp(grid, drive.times_s, drive.values))
     y = _without_line(np.interp(grid, output.times_s[seen], output.values[seen]))
     size = 2 ** int(np.ceil(np.log2(2 * len(grid))))

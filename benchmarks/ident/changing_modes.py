@@ -49,19 +49,19 @@ class ChangingModes:
         base, acceleration = -size * np.cos(turns) @ (1.0 / lines**2), size * np.cos(turns).sum(axis=1)
         deflection = self._integrated(half, acceleration, self.share(seed))
         rows = slice(0, None, round(0.01 / self.step_s))
-        inner = slice(20, -20)
         times, seen = half[::2], base[::2][rows, None] + deflection[rows] @ self.shapes.T
         seen = seen + self.noise * rng.standard_normal(seen.shape)
-        drive = InputSignal("base", "m", (0.0, self.step_s), base[::2], "cubic")
+        # Both are seen from when the modes already move until the end.
+        begins = round(0.2 / self.step_s)
+        drive = InputSignal("base", "m", (0.2, self.step_s), base[::2][begins:], "cubic")
         outputs = (
-            OutputSignal(name, "m", times[rows][inner], seen[inner, j])
-            for j, name in enumerate(("tip", "root"))
+            OutputSignal(name, "m", times[rows][20:], seen[20:, j]) for j, name in enumerate(("tip", "root"))
         )
         return TimeRecord((drive,), tuple(outputs))
 
     def _integrated(self, half: np.ndarray, acceleration: np.ndarray, share: float) -> np.ndarray:
         """Return the modal deflections at every step, by the classical method of Runge and Kutta, (n_steps, 2)."""
-        first, last = 0.2, self.duration_s - 0.2 - 0.01
+        first, last = 0.2, half[-1]
 
         def slope(k: int, state: np.ndarray) -> np.ndarray:
             place, speed = state
