@@ -59,6 +59,10 @@ class ModeChange:
         """Whether the frequency stays above zero all along; else this is no mode that changes."""
         return min(self.ends_hz) > 0.0
 
+    def mode_of(self, omegas: FloatArray) -> int:
+        """Return which of some modes is meant, by its number."""
+        return int(np.argmin(np.abs(np.log(omegas / self.omega))))
+
     def pace(self, times: FloatArray) -> FloatArray:
         """Return how fast the mode's own time runs at instants of the record."""
         return np.asarray(1.0 + self.share * self.course(times))
@@ -125,4 +129,4 @@ def changes_of(changes: Sequence[ModeChange], omegas: FloatArray) -> dict[int, M
     """Return which of some modes change, by their number; the first of several changes of one counts."""
     if not len(omegas):
         return {}
-    return {int(np.argmin(np.abs(np.log(omegas / own.omega)))): own for own in reversed(changes) if own.share}
+    return {own.mode_of(omegas): own for own in reversed(changes) if own.share}

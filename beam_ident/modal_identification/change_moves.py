@@ -35,7 +35,7 @@ class ModeChanges(SearchMove):
         likeliest = _likeliest(some, changes, believed)
         if likeliest is None:
             return None
-        changes, start = self._settled(search, (*changes, likeliest))
+        changes, start = _settled(search, (*changes, likeliest))
         terms = replace(conditions.terms, changes=changes)
         following = estimate(replace(conditions, terms=terms, start=start), present)
         gain = fit.cost - following.weighed.fit.cost
@@ -47,23 +47,20 @@ class ModeChanges(SearchMove):
         )
         return following if pays and has_settled and not following.leaves_more_than(present) else None
 
-    def _settled(
-        self, search: TimeSearch, changes: tuple[ModeChange, ...]
-    ) -> tuple[tuple[ModeChange, ...], ModalFit]:
-        """Return changes that settle, by Gauss-Newton steps beside the poles, and the fit with equal weights."""
-        regression, modes = search.plain.with_own_columns({}), search.chosen
-        best: tuple[tuple[ModeChange, ...], ModalFit] | None = None
-        while True:
-            steady = regression.with_changes(changes)
-            clocks = replace(search.clocks, changes=changes)
-            problem = clocks.estimated_in(steady, modes, search.records)
-            modes = fit_modes(
-                problem, modes.omegas, modes.zetas, modes.clock, search.latency, search.clock_rate
-            )
-            if best is not None and not modes.cost < best[1].cost - WORTH_A_LOOK:
-                return best
-            best = changes, modes
-            changes = tuple(moved_on(own, problem, modes) for own, _, _ in clocks.estimated_changes(modes))
+
+def _settled(search: TimeSearch, changes: tuple[ModeChange, ...]) -> tuple[tuple[ModeChange, ...], ModalFit]:
+    """Return changes that settle, by Gauss-Newton steps beside the poles, and the fit with equal weights."""
+    regression, modes = search.plain.with_own_columns({}), search.chosen
+    best: tuple[tuple[ModeChange, ...], ModalFit] | None = None
+    while True:
+        steady = regression.with_changes(changes)
+        clocks = replace(search.clocks, changes=changes)
+        problem = clocks.estimated_in(steady, modes, search.records)
+        modes = fit_modes(problem, modes.omegas, modes.zetas, modes.clock, search.latency, search.clock_rate)
+        if best is not None and not modes.cost < best[1].cost - WORTH_A_LOOK:
+            return best
+        best = changes, modes
+        changes = tuple(moved_on(own, problem, modes) for own, _, _ in clocks.estimated_changes(modes))
 
 
 def _price(n_samples: int, n_parameters: int, n_places: int) -> float:

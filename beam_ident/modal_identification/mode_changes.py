@@ -34,12 +34,12 @@ def possible_changes(regression: ModalRegression, fit: ModalFit, modes: Sequence
 
 def moved_on(change: ModeChange, regression: ModalRegression, fit: ModalFit) -> ModeChange:
     """Return a change with the frequency and the swing that a fit shows now."""
-    plain = regression.with_own_columns({})
-    blocks = plain.blocks(fit.omegas, fit.zetas, fit.clock, gradients=True)
-    (mode,) = changes_of([replace(change, share=1.0)], fit.omegas)
+    mode = change.mode_of(fit.omegas)
     omega = float(fit.omegas[mode])
     if change.over == "time":
         return replace(change, omega=omega)
+    plain = regression.with_own_columns({})
+    blocks = plain.blocks(fit.omegas, fit.zetas, fit.clock, gradients=True)
     best, highest = np.empty(0), 0.0
     for j, (number, found) in enumerate(zip(plain.block_of, fit.coefficients, strict=True)):
         block = blocks[number]
@@ -74,7 +74,7 @@ def change_columns(
     known = changes_of(plain.structure.changes, fit.omegas)
     columns = []
     for change in asked:
-        (mode,) = changes_of([replace(change, share=1.0)], fit.omegas)
+        mode = change.mode_of(fit.omegas)
         step = _TURN / (float(fit.omegas[mode]) * plain.duration_s)
         share = known[mode].share if mode in known and known[mode].over == change.over else 0.0
         either = [

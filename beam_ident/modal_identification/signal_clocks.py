@@ -15,7 +15,7 @@ from beam_ident.data.records import InputSignal, LowPass, TimeRecord
 from beam_ident.data.stamp_jumps import ClockJump, is_after
 from beam_ident.modal.fit import ModalFit
 from beam_ident.modal.identification_result import FrequencyChange
-from beam_ident.modal.mode_change import ModeChange, changes_of
+from beam_ident.modal.mode_change import ModeChange
 from beam_ident.modal.model import ModalModel
 from beam_ident.modal.regression import ModalRegression
 from beam_ident.modal_identification.clock_search import own_clock_columns
@@ -196,8 +196,7 @@ class SignalClocks:
                 places.append(own := self._own_places(j, fit)[first])
                 values.append(_value_at(fit, j, own))
             further, sd = _together(places, values, fit)
-            (mode,) = changes_of([change], fit.omegas)
-            omega, share = float(fit.omegas[mode]), change.share + further
+            omega, share = float(fit.omegas[change.mode_of(fit.omegas)]), change.share + further
             found.append((replace(change, omega=omega, share=share), further, sd))
         return found
 
@@ -205,8 +204,8 @@ class SignalClocks:
         """Return how natural frequencies changed, in the order of the modes."""
         found = []
         for change, _, sd in self.estimated_changes(fit):
-            (mode,) = changes_of([change], fit.omegas)
             first, last = change.ends_hz
+            mode = change.mode_of(fit.omegas)
             found.append(FrequencyChange(mode, change.over, first, last, change.share, sd, change.swing))
         return tuple(sorted(found, key=lambda own: own.mode))
 
