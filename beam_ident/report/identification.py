@@ -25,6 +25,7 @@ from beam_ident.best_linear.result import BestLinearApproximation
 from beam_ident.data.records import TimeRecord, busiest_stretch
 from beam_ident.figures.identification import Fitted
 from beam_ident.modal.identification_result import FrequencyDomainResult, IdentificationResult
+from beam_ident.quantities import nearest_mode, r_squared, sentence
 from beam_ident.report.equation import add_equation
 from beam_ident.report.evidence import (
     Agreement,
@@ -48,7 +49,6 @@ from beam_ident.report.measurement import (
 )
 from beam_ident.report.modes import add_budgets, add_modes, add_poles, add_shapes, add_theory
 from beam_ident.report.page import Cell, Drawn, Page
-from beam_ident.report.quantities import nearest_mode, r_squared, sentence
 from beam_ident.report.validation import add_predictions, add_trials, add_validation
 from beam_ident.report.verdict import add_gates, add_verdict, judge
 from beam_ident.results import LineResult, Result, models_of

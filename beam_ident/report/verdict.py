@@ -10,10 +10,10 @@ from scipy.special import ndtri
 
 from beam_ident.modal.identification_result import IdentificationResult
 from beam_ident.noise.scores import InputCorrelation
+from beam_ident.quantities import sentence
 from beam_ident.report.evidence import Agreement, Unseen
 from beam_ident.report.gates import Gate
 from beam_ident.report.page import Cell, Page, Tone
-from beam_ident.report.quantities import sentence
 from beam_ident.results import Result
 
 _POOR = ("poor", "fair")
