@@ -3,19 +3,46 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from beam_ident.arrays import ComplexArray, FloatArray
-from beam_ident.data.stored_form import read, require_shapes, written
+from beam_ident.data.stored_form import ADDED_LATER, read, require_shapes, written
 from beam_ident.modal.identification_result import OrderEntry
 from beam_ident.modal.mode_values import ModeValues
 from beam_ident.noise.scores import Scores, Whiteness
 from beam_ident.summary import Summarised, SummaryPart, modes_table, result_parts
 
 SCHEMA = 2
+
+
+@dataclass(frozen=True)
+class Harmonic:
+    """What rings, and is no mode but a product of modes: something bends on the way to the samples.
+
+    Attributes
+    ----------
+    makers : tuple of int -- the modes that make it, from 0
+    times : tuple of int -- how often each is in its frequency and its phase
+    factors : tuple of int -- how often each is in its decay rate
+    frequency_hz : float
+    amplitudes : tuple of float -- at every output, when the decay begins
+    """
+
+    makers: tuple[int, ...]
+    times: tuple[int, ...]
+    factors: tuple[int, ...]
+    frequency_hz: float
+    amplitudes: tuple[float, ...]
+
+    @property
+    def formula(self) -> str:
+        """Its frequency and decay rate in words, as "2 f1, decays by 2 s1"."""
+        of = list(zip(self.times, self.factors, self.makers, strict=True))
+        frequency = " ".join(f"{times:+d} f{maker + 1}" for times, _, maker in of).removeprefix("+")
+        return f"{frequency}, decays by " + " + ".join(f"{factors} s{maker + 1}" for _, factors, maker in of)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -41,6 +68,7 @@ class FreeDecay(Summarised, ModeValues):
     reason : str
     iterations : int
     warnings : tuple of str -- what a reader must know before trusting the numbers
+    harmonics : tuple of Harmonic -- what rings and is no mode, by frequency
     """
 
     natural_frequencies: FloatArray
@@ -64,6 +92,7 @@ class FreeDecay(Summarised, ModeValues):
     reason: str
     iterations: int
     warnings: tuple[str, ...]
+    harmonics: tuple[Harmonic, ...] = field(default=(), metadata=ADDED_LATER)
 
     def summary_parts(self) -> list[SummaryPart]:
         """Return the summary's tables and sentences."""

@@ -8,6 +8,8 @@ and the least-squares fit of that sum uses every sample, at any stamps and avera
 exposure, where the classical decrement uses two peaks.  Poles are common to all outputs.  The drift
 is a straight line, which is also the rigid motion of a structure that nothing holds, or a cubic where
 the data ask for one.
+What bends on the way to the samples rings at multiples of a mode's frequency: such cosines are fitted like modes, and
+listed apart (``harmonics``).
 """
 
 from __future__ import annotations
@@ -29,6 +31,7 @@ from beam_ident.modal.fit import ModalFit
 from beam_ident.modal.free_decay_result import FreeDecay
 from beam_ident.modal.regression import modal_poles, pole_slopes
 from beam_ident.modal.stacked_regression import ColumnBasis, Columns, Part, StackedRegression
+from beam_ident.modal_estimation.harmonics import harmonic_sentences, harmonics_of
 from beam_ident.modal_estimation.mode_gates import mode_warnings
 from beam_ident.modal_estimation.mode_scan import Candidate, rivals
 from beam_ident.modal_estimation.mode_search import (
@@ -108,7 +111,9 @@ def fit_free_decay(
     ----------
     outputs : OutputSignal or a sequence of them
         At any stamps; NaN where nothing was seen.
-    n_modes : int or None -- None lets the Bayesian information criterion decide
+    n_modes : int or None
+        None lets the Bayesian information criterion decide, and lists harmonics apart; a number of modes is what is
+        returned, whatever they are.
     start_s, end_s : float
         The stretch that rings freely [s]; without a start, a rest before it is left out, and a warning says so.
     max_modes : int
@@ -319,24 +324,37 @@ class _DecaySearch(ModeSearch[StackedRegression]):
         self.is_bent = self._bic(bent) < self._bic(fit)
         n, signals, n_fixed = len(fit.omegas), self.signals, 1 + self.degree
         sd = np.sqrt(np.maximum(np.diag(fit.pole_covariance), 0.0))
+        multiples = harmonics_of(fit, float(self.omegas[-1])) if n_modes is None else {}
+        modes = [k for k in range(n) if k not in multiples]
+        pairs = np.array([*modes, *(n + k for k in modes)])
+        sizes = np.array(self.sizes)
+        harmonics = tuple(
+            replace(
+                own,
+                makers=tuple(modes.index(k) for k in own.makers),
+                amplitudes=tuple((sizes * own.amplitudes).tolist()),
+            )
+            for _, own in sorted(multiples.items())
+        )
         residuals = tuple(size * e for size, e in zip(self.sizes, fit.residuals, strict=True))
         measured = tuple(s.values for s in signals)
         whiteness = tuple(Whiteness.of(e) for e in residuals)
-        coefficients, sizes = np.array(fit.coefficients), np.array(self.sizes)
+        coefficients = np.array(fit.coefficients)
+        swings = coefficients[:, n_fixed::2] + 1j * coefficients[:, n_fixed + 1 :: 2]
         warnings = mode_warnings(fit, weighed.problem, self.band)
         for own, y, e in zip(signals, measured, residuals, strict=True):
             warnings += misfit_warnings([(own.name, [(own.times_s, y - e, e)])])
         warnings += colour_warning([s.name for s in signals], whiteness, measured, residuals)
+        warnings += harmonic_sentences(harmonics)
         warnings += clipped_warnings(signals)
         warnings += damage_warnings(signals)
         return FreeDecay(
-            natural_frequencies=fit.omegas,
-            natural_frequency_sd=sd[:n],
-            damping_ratios=fit.zetas,
-            damping_ratio_sd=sd[n:],
-            covariance=fit.pole_covariance,
-            amplitudes=sizes[:, None]
-            * (coefficients[:, n_fixed::2] + 1j * coefficients[:, n_fixed + 1 :: 2]),
+            natural_frequencies=fit.omegas[modes],
+            natural_frequency_sd=sd[:n][modes],
+            damping_ratios=fit.zetas[modes],
+            damping_ratio_sd=sd[n:][modes],
+            covariance=fit.pole_covariance[np.ix_(pairs, pairs)],
+            amplitudes=sizes[:, None] * swings[:, modes],
             offsets=sizes * coefficients[:, 0],
             start_s=self.start,
             output_names=tuple(s.name for s in signals),
@@ -352,6 +370,7 @@ class _DecaySearch(ModeSearch[StackedRegression]):
             reason=fit.reason,
             iterations=fit.iterations,
             warnings=tuple(warnings),
+            harmonics=harmonics,
         )
 
 

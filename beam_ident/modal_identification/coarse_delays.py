@@ -9,6 +9,7 @@ modes at them, for elsewhere a spectrum shows little but when its signal begins 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -21,7 +22,7 @@ _PER_CYCLE = 4  # samples of the fastest line
 _MIN_SAMPLES = 64  # samples that show a delay
 _CERTAIN = 3.0  # times what the highest peak of noise has on average, in power
 _NEXT = 2.0  # times the power of what is farther away than a peak is wide
-_WIDE = 4.0  # periods of the fastest line to either side
+_WIDE = 4.0  # times the inverse of the driven band to either side
 
 
 def coarse_delays(
@@ -41,8 +42,8 @@ def coarse_delays(
     Returns
     -------
     dict
-        Delays up to half of the shortest record, known to about a period of the fastest line. An output is left out
-        where noise hides the peak, or another one is nearly as high.
+        Delays up to half of the shortest record, known to about the inverse of the driven band; 0 where they are not
+        told from none. An output is left out where noise hides the peak, or another one is nearly as high.
     """
     found = {}
     for name in dict.fromkeys(name for record in records for name in record.output_names):
@@ -55,17 +56,18 @@ def coarse_delays(
         n_lags = int(0.5 * shortest / step)
         if n_lags < _MIN_SAMPLES:
             continue
-        powers = np.zeros(2 * n_lags + 1)
-        for record in with_it:
-            powers += np.square(_phase_correlation(record, input_name, name, step, driving_power, n_lags))
+        seen = [_phase_correlation(one, input_name, name, step, driving_power, n_lags) for one in with_it]
+        powers = np.sum([np.square(correlation) for correlation, _ in seen], axis=0)
         place = int(np.argmax(powers))
-        width = max(round(_WIDE * _PER_CYCLE), round(near_s / step))
+        # Modes turn phases within the band, too: as far as that goes, no delay is told from none.
+        blur = math.ceil(_WIDE / max(min(band for _, band in seen), 1.0 / len(powers)))
+        width = max(blur, round(near_s / step))
         others = np.delete(powers, slice(max(place - width, 0), place + width + 1))
         if not len(others):
             continue
         noise = float(np.mean(others)) * 2.0 * np.log(len(powers))
         if powers[place] > _CERTAIN * noise and powers[place] > _NEXT * float(np.max(others)):
-            found[name] = (place - n_lags) * step
+            found[name] = (place - n_lags) * step if abs(place - n_lags) > blur else 0.0
     return found
 
 
@@ -80,8 +82,14 @@ def _step(record: TimeRecord, name: str) -> float:
 
 def _phase_correlation(
     record: TimeRecord, input_name: str, name: str, step: float, driving_power: int, n_lags: int
-) -> FloatArray:
-    """Return the correlation of an output with the input at lags from -n to n steps, by the phases of their lines."""
+) -> tuple[FloatArray, float]:
+    """Return the correlation of an output with the input by the phases of their lines, and the band that is driven.
+
+    Returns
+    -------
+    correlation : ndarray, shape (2 n_lags + 1,) -- at lags from -n to n steps
+    band : float -- width of what is driven, every line by its weight [cycles a step]
+    """
     drive, output = record.input(input_name), record.output(name)
     seen = output.is_valid
     first, last = drive.span_s
@@ -98,7 +106,7 @@ def _phase_correlation(
     driving = np.square(np.abs(drive_lines) * lines**driving_power) * is_seen
     driving /= driving + max(float(np.mean(driving[is_seen])), 1e-300)
     correlation = np.fft.irfft(driving * cross / np.maximum(np.abs(cross), 1e-300), size)
-    return np.asarray(np.concatenate([correlation[-n_lags:], correlation[: n_lags + 1]]))
+    return np.concatenate([correlation[-n_lags:], correlation[: n_lags + 1]]), float(np.sum(driving)) / size
 
 
 def _without_line(values: FloatArray) -> FloatArray:

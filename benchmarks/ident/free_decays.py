@@ -1,8 +1,9 @@
-"""Free decays of many points at once: common poles, drift, and a mode that rings at one point alone."""
+"""Free decays: of many points with common poles, drift, and a mode at one point alone; and of bent sensors."""
 
 from __future__ import annotations
 
 import time
+from typing import Any
 
 import numpy as np
 
@@ -79,4 +80,62 @@ class ManyPoints(AgainstBound):
         )
 
 
-STUDIES = {"free-decays": Study("fifteen points, drift, one mode at one point alone", 200, ManyPoints)}
+class BentSensor:
+    """Two modes at random places, seen by two sensors of which every second pair is bent: x + a x^2 + b x^3."""
+
+    times = np.arange(1600) / 100.0
+    noise = 1e-3
+
+    def run(self, seed: int) -> Outcome:
+        """Fit one decay without a hint."""
+        rng = np.random.default_rng([seed, 9])
+        omegas = 2.0 * np.pi * np.array([rng.uniform(3.0, 8.0), rng.uniform(26.0, 45.0)])
+        zetas = rng.uniform(0.003, 0.01, 2)
+        poles = omegas * (-zetas + 1j * np.sqrt(1.0 - zetas**2))
+        swings = (
+            np.exp(np.outer(self.times, poles))
+            * np.array([1.0, 0.02])
+            * np.exp(1j * rng.uniform(0.0, 6.0, 2))
+        )
+        bent = seed % 2 == 1
+        signals = []
+        for name in ("a", "b"):
+            x = np.real(swings).sum(axis=1)
+            square, cube = (
+                bent * np.exp(rng.uniform(np.log(0.02), np.log(0.1), 2)) * rng.choice([-1.0, 1.0], 2)
+            )
+            seen = x + square * x**2 + cube * x**3 + self.noise * rng.standard_normal(len(x))
+            signals.append(OutputSignal(name, "m", self.times, seen))
+        start = time.process_time()
+        found = fit_free_decay(signals)
+        figures = {"bent": float(bent), "modes": float(len(found.natural_frequencies))}
+        figures |= {f"times {own.times[0]}": 1.0 for own in found.harmonics if own.makers == (0,)}
+        figures["harmonics"] = float(len(found.harmonics))
+        if figures["modes"] == 2.0:
+            values = np.concatenate([found.natural_frequencies, found.damping_ratios])
+            scores = (values - np.concatenate([omegas, zetas])) / np.sqrt(np.diag(found.covariance))
+            figures |= {f"z{k}": float(score) for k, score in enumerate(scores)}
+        return Outcome(time.process_time() - start, figures=figures)
+
+    def summarise(self, outcomes: list[Outcome]) -> dict[str, Any]:
+        """Return how often multiples were listed, how often others were, and how often intervals hold [%]."""
+        bent = [own.figures for own in outcomes if own.figures["bent"]]
+        straight = [own.figures for own in outcomes if not own.figures["bent"]]
+        figures: dict[str, Any] = {}
+        for kind, some in (("bent", bent), ("straight", straight)):
+            scores = np.array([value for own in some for key, value in own.items() if key[0] == "z"])
+            figures |= {
+                f"{kind}: two modes [%]": 100.0 * float(np.mean([own["modes"] == 2.0 for own in some])),
+                f"{kind}: coverage [%]": 100.0 * float(np.mean(np.abs(scores) < 1.96)),
+                f"{kind}: any harmonic [%]": 100.0 * float(np.mean([own["harmonics"] > 0.0 for own in some])),
+            }
+        listed = {
+            f"times {k} [%]": 100.0 * float(np.mean([f"times {k}" in own for own in bent])) for k in (2, 3)
+        }
+        return figures | listed
+
+
+STUDIES = {
+    "free-decays": Study("fifteen points, drift, one mode at one point alone", 200, ManyPoints),
+    "bent-sensors": Study("decays seen by sensors that are bent", 200, BentSensor),
+}

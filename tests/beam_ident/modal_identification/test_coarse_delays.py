@@ -10,6 +10,7 @@ import pytest
 from beam_ident import Prior, TimeRecord, identify
 from beam_ident.modal_identification.coarse_delays import coarse_delays
 from benchmarks.ident.changing_modes import ChangingModes
+from tests.beam_ident.amplitude.oscillators import Oscillator, driven_record
 from tests.beam_ident.truth import OMEGAS, beam_record
 
 
@@ -52,6 +53,12 @@ def test_outputs_that_end_before_their_input_are_not_taken_for_late():
         )
         found = coarse_delays([dataclasses.replace(record, outputs=outputs)], "base", 2)
         assert all(delay == pytest.approx(0.0, abs=0.1) for delay in found.values()), found
+
+
+def test_phases_that_a_mode_turns_within_a_narrow_band_are_no_delay():
+    # A sweep about one mode: its own half a turn looks like a delay of a cycle or so.
+    record = driven_record(Oscillator(zeta=0.01), 1, noise=1e-4, duration_s=8.0)
+    assert coarse_delays([record], record.inputs[0].name, 2, 0.15) == {record.outputs[0].name: 0.0}
 
 
 @pytest.mark.slow
