@@ -218,6 +218,13 @@ TOPICS: dict[str, Topic] = {
             "identification/result", STRING, _LATCHED, "JSON: the identified model and where its report lies"
         ),
         Topic(
+            "identification/live",
+            STRING,
+            _LATCHED,
+            "JSON, at most 2 Hz: modes, responses and tests from the samples that have arrived",
+            is_derived=True,
+        ),
+        Topic(
             "/diagnostics",
             DIAGNOSTICS,
             QualityOfService(10),
