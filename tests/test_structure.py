@@ -85,6 +85,7 @@ TESTED_IN = (
     ("beam_ros/cli", "options", "cli/test_main"),
     ("beam_ros/cli/live", "call up", "launching/test_up"),
     ("beam_ros/launching", "guards", "launching/test_up"),
+    ("beam_ros/cli/live", "view", "launching/test_live_view"),
     ("beam_ros/cli/live", "demo record replay run", "cli/test_main"),
     ("beam_ros/cli/live", "experiment", "experiments/test_conduct"),
     ("beam_ros/cli/live", "thesis", "thesis/test_document"),

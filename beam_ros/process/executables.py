@@ -42,6 +42,7 @@ _PACKAGES = {  # module: (name on PyPI, name in Ubuntu)
     "ruamel": ("ruamel.yaml", "python3-ruamel.yaml"),
     "rosbags": ("rosbags", None),
     "mcap": ("mcap", None),
+    "aiohttp": ("aiohttp", "python3-aiohttp"),
 }
 
 

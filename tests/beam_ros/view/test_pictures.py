@@ -1,0 +1,67 @@
+"""The camera's frame as the page gets it."""
+
+from __future__ import annotations
+
+import json
+import struct
+
+import cv2
+import numpy as np
+import pytest
+
+from beam_ros import messages
+from beam_ros.messages import MARKER_DTYPE, BagTypes, MarkerCloud
+from beam_ros.view.pictures import Pictures
+from beam_ros.vision.errors import ImageFormatError
+
+TYPES = BagTypes()
+
+
+def frame(stamp_ns: int, height: int = 60, width: int = 40) -> bytes:
+    pixels = np.tile(np.linspace(0, 200, width, dtype=np.uint8), (height, 1))
+    return TYPES.serialize(messages.image(TYPES, stamp_ns, pixels), "sensor_msgs/msg/Image")
+
+
+def unpacked(data: bytes) -> tuple[dict, np.ndarray]:
+    (length,) = struct.unpack_from(">I", data)
+    pixels = cv2.imdecode(np.frombuffer(data[4 + length :], np.uint8), cv2.IMREAD_GRAYSCALE)
+    return json.loads(data[4 : 4 + length]), pixels
+
+
+def cloud(stamp_ns: int) -> MarkerCloud:
+    rows = np.zeros(2, dtype=MARKER_DTYPE)
+    rows["u"], rows["v"], rows["id"], rows["valid"] = [3.25, 0.0], [7.5, 0.0], [0, 1], [1, 0]
+    return MarkerCloud(stamp_ns, rows)
+
+
+def test_a_frame_comes_with_the_markers_that_were_found_in_it_and_no_others():
+    pictures = Pictures()
+    assert pictures.packed() == b""
+    pictures.take_frame(frame(100), 0.0, is_compressed=False)
+    pictures.take_markers(cloud(99))
+    about, pixels = unpacked(pictures.packed())
+    assert about == {"width": 40, "height": 60, "markers": []}
+    assert abs(int(pixels[30, 39]) - 200) < 10
+    pictures.take_frame(frame(200), 1.0, is_compressed=False)
+    pictures.take_markers(cloud(200))
+    assert unpacked(pictures.packed())[0]["markers"] == [{"u": 3.25, "v": 7.5, "id": 0}]
+
+
+def test_frames_that_come_too_soon_are_passed_over():
+    pictures = Pictures(period_s=0.1)
+    for k in range(100):
+        pictures.take_frame(frame(k), 0.01 * k, is_compressed=False)
+    assert pictures.number == 10
+
+
+def test_a_large_frame_is_shown_smaller_and_its_markers_stay_in_its_own_pixels():
+    pictures = Pictures(max_side_px=100)
+    pictures.take_frame(frame(200, height=400, width=300), 0.0, is_compressed=False)
+    about, pixels = unpacked(pictures.packed())
+    assert (about["width"], about["height"]) == (300, 400)
+    assert pixels.shape == (100, 75)
+
+
+def test_what_is_no_frame_is_refused():
+    with pytest.raises(ImageFormatError):
+        Pictures().take_frame(b"nonsense", 0.0, is_compressed=False)
