@@ -2,7 +2,10 @@
 
 Everything is heard with a shallow queue. What streams is asked for without repetition, so that no publisher waits for
 the page or keeps anything for it; a recorder beside it hears nothing less. The camera's frames are large: they are
-asked for only while somebody looks. The node has a thread, a context and an executor of its own.
+asked for only while somebody looks.
+
+A thread takes what has come a few times a second. An executor would put together anew, for every single message, all
+that it waits for, which costs ten times what the messages do. Only a stop has one, for its answer alone.
 """
 
 from __future__ import annotations
@@ -15,7 +18,7 @@ from typing import Any
 
 import rclpy
 from rclpy.context import Context
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
@@ -31,6 +34,11 @@ from beam_ros.view.server import OrderRefusedError
 LIGHT_TOPICS = tuple(name for name in SHOWN_TOPICS if not graph.TOPICS[name].is_image)
 """All but the camera's frames."""
 
+TEXT_TOPICS = tuple(
+    name for name in LIGHT_TOPICS if graph.TOPICS[name].type_name in (graph.STRING, graph.DIAGNOSTICS)
+)
+"""What says in words what goes on: enough for the log."""
+
 _IMAGES = tuple(name for name in SHOWN_TOPICS if graph.TOPICS[name].is_image)
 """The camera's frames, the likeliest first: the simulated ones are compressed only while somebody listens."""
 
@@ -43,22 +51,35 @@ class LiveView:
     scene : Scene -- of source "rig"
     namespace : str -- of the rig
     topics : collection of str -- what is listened to at all times
+    period_s : float -- how often what has come is taken [s]
+
+    Attributes
+    ----------
+    wants_images : callable -- returns whether the camera's frames are listened to
     """
 
-    def __init__(self, scene: Scene, *, namespace: str = "", topics: Collection[str] = LIGHT_TOPICS) -> None:
-        self._scene, self._types = scene, RosTypes()
+    def __init__(
+        self,
+        scene: Scene,
+        *,
+        namespace: str = "",
+        topics: Collection[str] = LIGHT_TOPICS,
+        period_s: float = 0.05,
+    ) -> None:
+        self._scene, self._types, self._period_s = scene, RosTypes(), period_s
         self._context = Context()
         rclpy.init(args=[], context=self._context, signal_handler_options=SignalHandlerOptions.NO)
-        self._node = Node("page", namespace=namespace, context=self._context)
-        self._stop = self._node.create_client(
-            self._types.service_class(graph.SERVICES["hub/stop"].type_name), "hub/stop"
+        self._ears, self._voice = (
+            Node(name, namespace=namespace, context=self._context, start_parameter_services=False)
+            for name in ("page", "page_stop")
         )
-        for topic in topics:
-            self._listen(topic)
-        self._images: Subscription | None = None
+        service = self._types.service_class(graph.SERVICES["hub/stop"].type_name)
+        self._stop = self._voice.create_client(service, "hub/stop")
+        self._is_asking = threading.Lock()
+        self._subscriptions = {topic: self._listen(topic) for topic in topics}
         self.wants_images: Callable[[], bool] = lambda: False
-        self._node.create_timer(0.5, self._follow_images)
-        self._thread = threading.Thread(target=self._spin, name="ears", daemon=True)
+        self._is_ending = threading.Event()
+        self._thread = threading.Thread(target=self._hear, name="ears", daemon=True)
         self._thread.start()
 
     def _listen(self, topic: str) -> Subscription:
@@ -66,35 +87,28 @@ class LiveView:
         # What streams may wait for a second of a busy computer, on this side alone; of all else the newest counts.
         depth = 1 if row.is_image or row.qos.is_latched else min(row.qos.depth, 100)
         qos = graph.QualityOfService(depth, is_reliable=row.qos.is_latched, is_latched=row.qos.is_latched)
-        return self._node.create_subscription(
-            self._types.message_class(row.type_name),
-            topic,
-            lambda data: self._scene.take(topic, data, time.monotonic(), time.time()),
-            qos_profile(qos),
-            raw=True,
+        message_class = self._types.message_class(row.type_name)
+        return self._ears.create_subscription(
+            message_class, topic, lambda _: None, qos_profile(qos), raw=True
         )
+
+    def _hear(self) -> None:
+        while not self._is_ending.wait(self._period_s):
+            self._follow_images()
+            for topic, subscription in self._subscriptions.items():
+                while (data := _taken(subscription)) is not None:
+                    self._scene.take(topic, data, time.monotonic(), time.time())
 
     def _follow_images(self) -> None:
         """Listen to the camera while somebody looks at the page."""
         is_wanted = self.wants_images()
-        if self._images is not None and not is_wanted:
-            self._node.destroy_subscription(self._images)
-            self._images = None
-        elif self._images is None and is_wanted:
-            offered = (topic for topic in _IMAGES if self._node.count_publishers(topic))
-            topic = next(offered, None)
-            self._images = self._listen(topic) if topic else None
-
-    def _spin(self) -> None:
-        executor = SingleThreadedExecutor(context=self._context)
-        executor.add_node(self._node)
-        try:
-            while self._context.ok():
-                executor.spin_once(timeout_sec=0.5)
-        except ExternalShutdownException:
-            pass
-        finally:
-            executor.shutdown(timeout_sec=0.0)
+        heard = next((topic for topic in _IMAGES if topic in self._subscriptions), None)
+        if heard is not None and not is_wanted:
+            self._ears.destroy_subscription(self._subscriptions.pop(heard))
+        elif heard is None and is_wanted:
+            offered = next((topic for topic in _IMAGES if self._ears.count_publishers(topic)), None)
+            if offered is not None:
+                self._subscriptions[offered] = self._listen(offered)
 
     def look(self) -> None:
         """Let the scene notice what has fallen silent."""
@@ -121,10 +135,15 @@ class LiveView:
         remedy = "stop the axis at its own switch, and look whether the hub's node runs"
         if not self._stop.service_is_ready():
             raise OrderRefusedError(f"no hub offers hub/stop on {reach()}; {remedy}")
-        answered = threading.Event()
         future = self._stop.call_async(self._stop.srv_type.Request())
-        future.add_done_callback(lambda _: answered.set())
-        if not answered.wait(patience_s):
+        with self._is_asking:
+            executor = SingleThreadedExecutor(context=self._context)
+            try:
+                executor.add_node(self._voice)
+                executor.spin_until_future_complete(future, timeout_sec=patience_s)
+            finally:
+                executor.shutdown(timeout_sec=0.0)
+        if not future.done():
             raise OrderRefusedError(f"hub/stop did not answer within {patience_s:g} s; {remedy}")
         response = future.result()
         if not response.success:
@@ -134,12 +153,21 @@ class LiveView:
     def close(self) -> None:
         """Leave the graph."""
         with signals_taken(signal.SIG_IGN):
-            rclpy.try_shutdown(context=self._context)
+            self._is_ending.set()
             self._thread.join()
-            self._node.destroy_node()
+            self._ears.destroy_node()
+            self._voice.destroy_node()
+            rclpy.try_shutdown(context=self._context)
 
     def __enter__(self) -> LiveView:
         return self
 
     def __exit__(self, *raised: object) -> None:
         self.close()
+
+
+def _taken(subscription: Subscription) -> bytes | None:
+    """Take a message that waits, as its bytes."""
+    with subscription.handle:
+        taken = subscription.handle.take_message(subscription.msg_type, True)
+    return None if taken is None else bytes(taken[0])

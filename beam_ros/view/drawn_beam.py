@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -60,12 +61,14 @@ class DrawnBeam:
         self._names = rig.markers.names
         self._marker_sd_m = marker_sd_m
         self._fitter = marker_shape_fitter(rig, rig.markers.heights)
+        self._line = lru_cache(maxsize=16)(self._line_of)
         self._prediction = PredictedMotion(model)
         self.hub, self.tip = Trace(seconds, first_epoch), Trace(seconds, first_epoch)
         # What the hub did while a frame was on its way: alpha and q by their stamps.
         self._recent: deque[tuple[int, float, FloatArray]] = deque(maxlen=1000)
         self._markers: FloatArray = np.full(len(self._names), np.nan)
         self._markers_ns = 0
+        self._tip: float | None = None
         self._origin_ns: int | None = None
         self.speed = math.nan
         self.stepped_back_s = 0.0
@@ -84,7 +87,7 @@ class DrawnBeam:
         """Forget what was seen."""
         self._recent.clear()
         self._markers = np.full(len(self._names), np.nan)
-        self._markers_ns, self.speed = 0, math.nan
+        self._markers_ns, self._tip, self.speed = 0, None, math.nan
         self.hub.clear()
         self.tip.clear()
 
@@ -119,31 +122,39 @@ class DrawnBeam:
             # With a rolling shutter, or a message for each marker, one frame comes in pieces.
             markers = np.where(np.isfinite(markers), markers, self._markers)
         self._markers, self._markers_ns = markers, displacement.stamp_ns
-        coordinates = self._fitter.fit(markers, self._sd_of(markers)).coordinates
-        is_seen = np.isfinite(markers).any()
-        deflection = float(coordinates @ self._shapes[-1]) if is_seen else math.nan
-        self.tip.add(self._seconds(displacement.stamp_ns), *_millimetres(np.array([deflection])))
+        is_seen = np.isfinite(markers)
+        line = self._line(tuple(is_seen)) @ markers[is_seen]
+        self._tip = _millimetres(line[-1:] - line[:1])[0] if is_seen.any() else None
+        self.tip.add(self._seconds(displacement.stamp_ns), self._tip)
 
-    def _sd_of(self, markers: FloatArray) -> FloatArray:
-        return np.where(np.isfinite(markers), self._marker_sd_m, np.nan)
+    def _line_of(self, is_seen: tuple[bool, ...]) -> FloatArray:
+        """Return the matrix from the markers that were seen to the drawn line, shape (n_points, n_seen).
+
+        The fit is linear in the markers while the same of them are seen.
+        """
+        sd = np.where(is_seen, self._marker_sd_m, np.nan)
+        lines = [
+            self._fitter.fit(np.where(is_seen, unit, np.nan), sd).displacement(self._shapes)[0]
+            for unit in np.eye(len(is_seen))[list(is_seen)]
+        ]
+        return np.asarray(np.reshape(lines, (-1, len(self._heights))).T)
 
     def shape(self) -> dict[str, Any]:
         """Return the newest instant: heights, measured and predicted line, markers, all in millimetres.
 
         Returns
         -------
-        dict -- ``at``: time on the traces [s]; ``hub``; ``heights``; ``measured``, ``predicted``: null where not
-            known; ``markers``: null where one was not seen
+        dict -- ``at``: time on the traces [s]; ``hub``; ``tip``: how far it is bent, as measured; ``heights``;
+            ``measured``, ``predicted``: null where not known; ``markers``: null where one was not seen
         """
         at_ns = self._markers_ns or (self._recent[-1][0] if self._recent else 0)
         hub, predicted = self._predicted_at(at_ns)
-        measured: FloatArray | None = None
-        if np.isfinite(self._markers).any():
-            fitted = self._fitter.fit(self._markers, self._sd_of(self._markers))
-            measured = fitted.displacement(self._shapes)[0]
+        is_seen = np.isfinite(self._markers)
+        measured = self._line(tuple(is_seen)) @ self._markers[is_seen] if is_seen.any() else None
         return {
             "at": self._seconds(at_ns) if at_ns else None,
             "hub": _millimetres(np.array([hub]))[0],
+            "tip": self._tip,
             "heights": _millimetres(self._heights),
             "measured": None if measured is None else _millimetres(measured),
             "predicted": None if predicted is None else _millimetres(predicted),

@@ -7,18 +7,23 @@ than the page shows them are passed over unread: their stamps alone are looked a
 from __future__ import annotations
 
 import struct
-from collections import OrderedDict
+from collections import deque
 from typing import Any
 
 import cv2
 import numpy as np
 
 from beam_ros.arrays import ImageArray
-from beam_ros.messages import MarkerCloud
+from beam_ros.bags.errors import BagError
+from beam_ros.bags.signals import message_decoder
+from beam_ros.interfaces import graph
+from beam_ros.messages import SECOND_NS, BagTypes, MessageContentError, read_marker_cloud
 from beam_ros.process.strict_json import strict_json
 from beam_ros.vision.camera.image_messages import read_compressed_image, read_image
 
 _LENGTH = struct.Struct(">I")
+_STAMP = struct.Struct("<iI")
+"""Stamp of a message with a header, behind the four octets that say how it is written, as ROS 2 writes it here."""
 
 
 class Pictures:
@@ -42,8 +47,9 @@ class Pictures:
         self._frame: ImageArray | None = None
         self._stamp_ns = 0
         self._packed: tuple[int, bytes] = (0, b"")
-        # The tracker's answer comes after the frame, and before the next one that is shown.
-        self._clouds: OrderedDict[int, MarkerCloud] = OrderedDict()
+        # The tracker's answer comes near the frame, before or after it. It is read where its stamp is the frame's.
+        self._clouds: deque[bytes] = deque(maxlen=100)
+        self._types = BagTypes()
 
     def is_due(self, now_s: float) -> bool:
         """Tell whether a frame that comes now would be shown."""
@@ -65,11 +71,9 @@ class Pictures:
         self._stamp_ns, self._shown_at_s = message.stamp_ns, now_s
         self.number += 1
 
-    def take_markers(self, cloud: MarkerCloud, *, remembered: int = 100) -> None:
-        """Take where the markers were found in a frame."""
-        self._clouds[cloud.stamp_ns] = cloud
-        while len(self._clouds) > remembered:
-            self._clouds.popitem(last=False)
+    def take_markers(self, data: bytes) -> None:
+        """Take a message of ``beam/markers``: where the markers were found in some frame."""
+        self._clouds.append(data)
 
     def forget(self) -> None:
         """Show the next frame at once, and no marker of before."""
@@ -102,9 +106,15 @@ class Pictures:
         return _LENGTH.pack(len(about)) + about + jpeg
 
     def _markers(self) -> list[dict[str, Any]]:
-        cloud = self._clouds.get(self._stamp_ns)
-        if cloud is None:
+        wanted = _STAMP.pack(*divmod(self._stamp_ns, SECOND_NS))
+        data = next((data for data in self._clouds if data[4 : 4 + _STAMP.size] == wanted), None)
+        if data is None:
             return []
+        type_name = graph.TOPICS["beam/markers"].type_name
+        try:
+            cloud = message_decoder(self._types, type_name, read_marker_cloud)(data)
+        except (MessageContentError, BagError):
+            return []  # The picture is shown without; the page says so.
         return [
             {"u": round(float(row["u"]), 2), "v": round(float(row["v"]), 2), "id": int(row["id"])}
             for row in cloud.rows

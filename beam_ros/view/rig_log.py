@@ -59,6 +59,11 @@ def words_of_sequence(sequence: Mapping[str, Any]) -> str:
     return f"{said}: {reason}" if reason else said
 
 
+def marked(entry: Mapping[str, Any]) -> str:
+    """Return the text of an entry with a mark of its level, for those who see no colour."""
+    return {"info": "", "warning": "! ", "error": "!! "}[entry["level"]] + str(entry["text"])
+
+
 class RigLog:
     """The newest entries, each said once.
 

@@ -28,7 +28,6 @@ from beam_ros.messages import (
     read_diagnostics,
     read_displacement,
     read_json,
-    read_marker_cloud,
 )
 from beam_ros.process.strict_json import strict_json
 from beam_ros.rig.rig import Rig
@@ -210,7 +209,7 @@ class Scene:
         self._is_drawn = False
 
     def _take_markers(self, data: bytes, _now_s: float, _day_s: float) -> None:
-        self.pictures.take_markers(self._read(data, "beam/markers", read_marker_cloud))
+        self.pictures.take_markers(data)
 
     def _take_image(self, data: bytes, now_s: float, _day_s: float) -> None:
         self.pictures.take_frame(data, now_s, is_compressed=False)
@@ -302,7 +301,15 @@ class Scene:
     def part(self, name: str) -> Any:
         """Return a part of the page as plain values."""
         with self._lock:
+            self._draw()
             return json.loads(self._parts[name][1])
+
+    def new_entries(self, cursor: Cursor) -> list[dict[str, Any]]:
+        """Return the entries of the log that a reader lacks, and set its cursor to have them."""
+        with self._lock:
+            entries: list[dict[str, Any]] = self.log.since(*cursor.rows.get("log", (-1, 0)))["rows"]
+            cursor.rows["log"] = (self.log.epoch, self.log.total)
+            return entries
 
     def news(self, cursor: Cursor) -> str:
         """Return what a reader lacks, as a JSON object, and set its cursor to have it."""

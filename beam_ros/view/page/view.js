@@ -209,8 +209,7 @@ function describeBeam() {
   const beam = parts.beam, shape = parts.shape;
   if (!beam || !shape) return;
   const unseen = beam.names.filter((_name, k) => shape.markers[k] === null);
-  const tip = rows.tip.length ? rows.tip[rows.tip.length - 1][1] : null;
-  $("beam").setAttribute("aria-label", `The beam: hub at ${digits(shape.hub, 1)} mm, tip bent by ${digits(tip, 1)} mm.`);
+  $("beam").setAttribute("aria-label", `The beam: hub at ${digits(shape.hub, 1)} mm, tip bent by ${digits(shape.tip, 1)} mm.`);
   const drawnAs = drawn.factor > 1 ? `Bending is drawn ${drawn.factor} times as large. ` : "";
   const lost = unseen.length && shape.measured ? `Not seen: ${unseen.join(", ")}. ` : "";
   say($("beam-note"), `${drawnAs}${lost}Beam and limits: ${beam.rig}.`);

@@ -28,10 +28,11 @@ def unpacked(data: bytes) -> tuple[dict, np.ndarray]:
     return json.loads(data[4 : 4 + length]), pixels
 
 
-def cloud(stamp_ns: int) -> MarkerCloud:
+def cloud(stamp_ns: int) -> bytes:
     rows = np.zeros(2, dtype=MARKER_DTYPE)
     rows["u"], rows["v"], rows["id"], rows["valid"] = [3.25, 0.0], [7.5, 0.0], [0, 1], [1, 0]
-    return MarkerCloud(stamp_ns, rows)
+    message = messages.marker_cloud(TYPES, MarkerCloud(stamp_ns, rows))
+    return TYPES.serialize(message, "sensor_msgs/msg/PointCloud2")
 
 
 def test_a_frame_comes_with_the_markers_that_were_found_in_it_and_no_others():
@@ -45,6 +46,14 @@ def test_a_frame_comes_with_the_markers_that_were_found_in_it_and_no_others():
     pictures.take_frame(frame(200), 1.0, is_compressed=False)
     pictures.take_markers(cloud(200))
     assert unpacked(pictures.packed())[0]["markers"] == [{"u": 3.25, "v": 7.5, "id": 0}]
+
+
+def test_markers_that_cannot_be_read_cost_the_picture_nothing():
+    pictures = Pictures()
+    pictures.take_frame(frame(200), 0.0, is_compressed=False)
+    for length in (0, 3, 12, 20, 60):
+        pictures.take_markers(cloud(200)[:length])
+    assert unpacked(pictures.packed())[0]["markers"] == []
 
 
 def test_frames_that_come_too_soon_are_passed_over():
