@@ -237,8 +237,7 @@ class Scene:
         info = self._read(data, "excitation/info", read_json)
         recipe = info.get("recipe")
         if isinstance(recipe, Mapping):
-            text = f"excitation: {recipe.get('kind')}, {recipe.get('duration')} s"
-            self.log.change("excitation", day_s, "info", text)
+            self.log.change("excitation", day_s, "info", f"excitation: {recipe.get('kind')}")
         if self._is_rig_given or not isinstance(info.get("rig"), Mapping):
             return
         try:

@@ -190,7 +190,7 @@ function drawBeam() {
   shapeOf("path", "tip-limit", { class: "limit", "stroke-dasharray": "2 4",
     d: `M${hub - reach} ${top}v${2 * stop}M${hub + reach} ${top}v${2 * stop}` });
   shapeOf("rect", "hub", { class: "hub", x: hub - 8, y: 0, width: 16, height: rail - 2, rx: 2 });
-  for (const kind of ["predicted", "measured"]) {
+  for (const kind of ["measured", "predicted"]) {
     const line = shape[kind];
     const points = line ? line.map((value, k) => `${x(value).toFixed(2)},${-shape.heights[k]}`).join(" ") : "";
     shapeOf("polyline", kind, { class: kind, points });
@@ -224,16 +224,19 @@ async function drawPicture(buffer) {
   const length = new DataView(buffer).getUint32(0);
   const about = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 4, length)));
   const bitmap = await createImageBitmap(new Blob([new Uint8Array(buffer, 4 + length)], { type: "image/jpeg" }));
-  const canvas = $("picture"), share = bitmap.width / about.width;
-  canvas.width = bitmap.width;
-  canvas.height = bitmap.height;
+  // Names and circles are as sharp over a small picture as over a large one.
+  const canvas = $("picture"), larger = Math.max(1, Math.round(600 / Math.max(bitmap.width, bitmap.height)));
+  const width = larger * bitmap.width, share = width / about.width;
+  canvas.width = width;
+  canvas.height = larger * bitmap.height;
   const pen = canvas.getContext("2d");
-  pen.drawImage(bitmap, 0, 0);
+  pen.drawImage(bitmap, 0, 0, canvas.width, canvas.height);
   pen.strokeStyle = "#7cc4ff";
   pen.fillStyle = "#7cc4ff";
-  pen.lineWidth = Math.max(1, bitmap.width / 300);
-  pen.font = `${Math.max(9, Math.round(bitmap.width / 28))}px system-ui, sans-serif`;
-  const radius = bitmap.width / 36, names = parts.beam ? parts.beam.names : [];
+  const side = Math.max(canvas.width, canvas.height);
+  pen.lineWidth = side / 400;
+  pen.font = `${Math.round(side / 32)}px system-ui, sans-serif`;
+  const radius = side / 45, names = parts.beam ? parts.beam.names : [];
   for (const marker of about.markers) {
     const x = (marker.u + 0.5) * share, y = (marker.v + 0.5) * share;
     pen.beginPath();
@@ -241,7 +244,9 @@ async function drawPicture(buffer) {
     pen.moveTo(x - 1.6 * radius, y);
     pen.lineTo(x + 1.6 * radius, y);
     pen.stroke();
-    pen.fillText(names[marker.id] || "", x + 1.8 * radius, y - radius);
+    const name = names[marker.id] || "", room = x + 1.8 * radius + pen.measureText(name).width < canvas.width;
+    pen.textAlign = room ? "left" : "right";
+    pen.fillText(name, room ? x + 1.8 * radius : x - 1.8 * radius, y - 0.6 * radius);
   }
   $("camera").hidden = false;
   const words = about.markers.length ? `${about.markers.length} markers found` : "no marker of this frame is known";
@@ -316,7 +321,7 @@ function drawState() {
   if (fault) say($("fault"), `Fault: ${fault.sentence}. What to do: ${fault.remedy || "see the page of faults"}.`);
   say($("sequence"), parts.sequence ? parts.sequence.words : "none");
   const recorder = parts.recorder;
-  say($("recorder"), !recorder || (!recorder.recording && !recorder.path) ? "not recording"
+  say($("recorder"), isBag && !recorder ? "this bag does not say" : !recorder || (!recorder.recording && !recorder.path) ? "not recording"
     : recorder.failure ? recorder.failure
     : `${recorder.recording ? "recording to" : "recorded"} ${recorder.path}: ${recorder.messages} messages, ${recorder.lost} lost`);
   if (awaitsStop) say($("answer"), `${awaitsStop} The axis now: ${axisPart ? axisPart.words : "not heard"}; hub ${$("motion").textContent}.`);
