@@ -131,6 +131,7 @@ def opened(browser: Any, link: str, **options: Any) -> tuple[Any, list[str]]:
     )
     page.goto(link)
     until(page, "document.getElementById('link').textContent === 'connected'")
+    until(page, "!document.getElementById('stop').hidden || !document.getElementById('player').hidden")
     return page, said
 
 
