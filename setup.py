@@ -82,6 +82,7 @@ EXECUTABLES = [
     "vision_tracker",
     "excitation_generator",
     "identifier",
+    "live_identifier",
     "bag_recorder",
     "bag_player",
     "firmware_emulator",

@@ -146,6 +146,7 @@ TESTED_IN = (
     ("beam_ros/nodes", "bag_recorder", "bags/test_bag_recorder"),
     ("beam_ros/nodes", "simulator", "nodes/test_contract"),
     ("beam_ros/nodes", "identifier", "launching/test_demo"),
+    ("beam_ros/offline", "estimate_process", "nodes/test_live_identifier"),
     (
         "beam_ros/model_files",
         "filter_chain mat modelica ro_crate shapers universal",

@@ -86,6 +86,11 @@ class GrowingIdentification:
         self.complaint = ""
         self.seconds_of_last_fit = self.spent_s = 0.0
 
+    @property
+    def searched_s(self) -> float:
+        """Duration of the records at the last search [s]; 0 before the first."""
+        return 0.0 if self._searched_at is None else self._searched_at[1]
+
     def is_due(self, duration_s: float) -> bool:
         """Return whether records of so long a duration have paid for the estimates that were made of them."""
         return self.spent_s <= self._share * duration_s

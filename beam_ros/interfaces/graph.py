@@ -280,6 +280,17 @@ _CAMERA = ("camera/image_raw", "camera/image_raw/compressed", "camera/camera_inf
 _RECORDED = tuple(name for name, topic in TOPICS.items() if not topic.is_derived)
 
 
+LIVE_NEEDS = (
+    "hub/measured",
+    "hub/applied",
+    "hub/clock_sync",
+    "hub/sequence_state",
+    "beam/displacement",
+    "excitation/info",
+)
+"""What an identification reads of a bag, and of a rig that runs."""
+
+
 def _group(group: str, *left_out: str) -> tuple[str, ...]:
     """Return the names of a group's parameters, without some of its fields."""
     return tuple(f"{group}.{field.name}" for field in fields(GROUPS[group]) if field.name not in left_out)
@@ -396,6 +407,15 @@ NODES: dict[str, Node] = {
             ("identifier/identify",),
             _group("identifier"),
             "continuous-time model with common poles from a recorded bag",
+        ),
+        Node(
+            "live_identifier",
+            "live_identifier",
+            ("identification/live", "/diagnostics"),
+            LIVE_NEEDS,
+            (),
+            _group("live"),
+            "the same model from what has arrived so far, while the rig runs",
         ),
     )
 }

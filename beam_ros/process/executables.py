@@ -23,6 +23,7 @@ MODULES = {
     "vision_tracker": "beam_ros.nodes.vision_tracker",
     "excitation_generator": "beam_ros.nodes.excitation_generator",
     "identifier": "beam_ros.nodes.identifier",
+    "live_identifier": "beam_ros.nodes.live_identifier",
     "bag_recorder": "beam_ros.nodes.bag_recorder",
     "bag_player": "beam_ros.nodes.bag_player",
     "firmware_emulator": "beam_ros.nodes.firmware_emulator",

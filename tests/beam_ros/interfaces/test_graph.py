@@ -30,7 +30,7 @@ def test_every_parameter_is_read_by_a_node_or_by_what_works_on_bags() -> None:
 
 def test_every_topic_has_a_publisher_or_is_a_command_and_every_service_a_server() -> None:
     published = {name for node in NODES.values() if node.name != "player" for name in node.publishes}
-    assert set(TOPICS) - published == {"hub/setpoint", "identification/live"}
+    assert set(TOPICS) - published == {"hub/setpoint"}
     assert {name for node in NODES.values() for name in node.serves} == set(SERVICES)
 
 
