@@ -48,6 +48,7 @@ from beam_ros.offline.axis_following import following_of_bag
 from beam_ros.offline.identification import identification_of_bags
 from beam_ros.offline.loading.experiment import load_experiment
 from beam_ros.offline.loading.options import FitOptions
+from beam_ros.offline.recorded_estimates import estimates_of_bag
 from beam_ros.offline.simulation import simulate
 from beam_ros.offline.swing_after import swing_after
 from beam_ros.offline.theory import theory_of_rig
@@ -383,7 +384,9 @@ def page_pictures(folder: Path) -> list[Path]:
     scene = Scene(Rig.from_file(), source="bag", title="bags/frames")
     with Bag(bag) as opened:
         scene.show_losses(losses_of_bag(summarise(opened)))
-    player, links = RecordedScene(bag, scene), list[str]()
+    estimates = list(estimates_of_bag(bag, Rig.from_file().live))
+    player = RecordedScene(bag, scene, estimate_at=lambda _: estimates[-2][1])
+    links: list[str] = []
     server = PageServer(scene, player.orders, on_tick=player.show, on_link=links.append)
     files = []
     with sync_playwright() as started:

@@ -15,7 +15,7 @@ from beam_ros.bags.errors import BagError
 from beam_ros.bags.live.replay import Pace
 from beam_ros.bags.reading import Bag
 from beam_ros.errors import UsageError
-from beam_ros.messages import SECOND_NS
+from beam_ros.messages import SECOND_NS, LiveIdentification
 from beam_ros.process.remote_paths import AnyPath
 from beam_ros.view.scene import SHOWN_TOPICS, Scene
 from beam_ros.view.server import OrderRefusedError
@@ -29,6 +29,7 @@ class RecordedScene:
     path : Path, RemotePath or str -- as ``Bag`` takes it
     scene : Scene -- of source "bag"
     lead_s : float -- so much before a place is read when it is entered [s]
+    estimate_at : callable -- returns what the growing estimate says at a time of the bag [s]; None: nothing yet
     clock_ns : callable -- steady time [ns]
 
     Raises
@@ -43,10 +44,13 @@ class RecordedScene:
         scene: Scene,
         *,
         lead_s: float = 10.0,
+        estimate_at: Callable[[float], LiveIdentification | None] = lambda position_s: None,
         clock_ns: Callable[[], int] = time.monotonic_ns,
     ) -> None:
         self._path, self._scene, self._clock_ns = path, scene, clock_ns
         self._lead_ns = round(lead_s * SECOND_NS)
+        self._estimate_at = estimate_at
+        self._estimate: LiveIdentification | None = None
         with Bag(path) as bag:
             self._start_ns, self.duration_ns = bag.start_ns, bag.duration_ns
             self._topics = {bag.full_name(topic): topic for topic in SHOWN_TOPICS if bag.count(topic)}
@@ -84,7 +88,7 @@ class RecordedScene:
             self._thread.join()
 
     def show(self) -> None:
-        """Tell the scene where the player is."""
+        """Tell the scene where the player is, and what is known there."""
         with self._turn:
             at_ns = min(self._pace.position_ns(self._clock_ns()), self.duration_ns)
             player = {
@@ -93,6 +97,12 @@ class RecordedScene:
                 "playing": not self._pace.is_paused,
             }
         self._scene.show("player", player)
+        estimate, before = self._estimate_at(at_ns / SECOND_NS), self._estimate
+        self._estimate = estimate
+        if estimate is None:
+            self._scene.show("identification", None)
+        elif estimate is not before:
+            self._scene.show_live(estimate, at_ns / SECOND_NS)
 
     def _play(self, _value: Any) -> str:
         with self._turn:

@@ -99,6 +99,7 @@ class Scene:
         self._is_drawn = False
         self._hub_heard_s: float | None = None
         self._is_hub_silent = False
+        self._live_state = ""
         self.pictures = Pictures()
         self.log = RigLog()
         self._takers: dict[str, Callable[[bytes, float, float], None]] = {
@@ -155,9 +156,10 @@ class Scene:
         """Set the estimate so far."""
         with self._lock:
             self._set("identification", dataclasses.asdict(live))
-            level: Level = "error" if live.state == "failed" else "info"
-            if live.state != "growing":
-                self.log.change("live", day_s, level, f"identification: {live.sentence}")
+            if live.state != self._live_state:
+                self._live_state = live.state
+                level: Level = "error" if live.state == "failed" else "info"
+                self.log.add(day_s, level, f"identification: {live.sentence}")
 
     def begin_anew(self) -> None:
         """Forget the motion, what is under way and the log: a bag is entered at another place."""
@@ -166,6 +168,7 @@ class Scene:
                 self._set(part, content)
             self._health.clear()
             self.log.clear()
+            self._live_state = ""
             self._beam.begin_anew()
             self.pictures.forget()
             self._hub_heard_s = None

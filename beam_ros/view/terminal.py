@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shutil
 import threading
 import time
@@ -17,7 +18,11 @@ def _number(value: float | None, unit: str, decimals: int = 2) -> str:
 
 
 def _with_sd(value: float, sd: float | None) -> str:
-    return f"{value:.5g}" if sd is None else f"{value:.6g} ± {sd:.2g}"
+    """Write a value with as many decimals as its standard deviation has two digits."""
+    if sd is None or not sd > 0.0:
+        return f"{value:.5g}"
+    decimals = max(0, 1 - math.floor(math.log10(sd)))
+    return f"{value:.{decimals}f} ± {sd:.{decimals}f}"
 
 
 def status_lines(scene: Scene) -> list[str]:
@@ -44,7 +49,7 @@ def status_lines(scene: Scene) -> list[str]:
 def _estimate(live: Mapping[str, Any] | None) -> list[str]:
     if live is None:
         return []
-    lines = [f"estimate  {live['sentence']} ({live['record_s']:.0f} s)"]
+    lines = [f"estimate  {live['sentence']}"]
     for k, mode in enumerate(live["modes"], start=1):
         frequency = _with_sd(mode["frequency_hz"], mode["frequency_sd_hz"])
         sd = mode["damping_ratio_sd"]

@@ -3,7 +3,7 @@
 The nodes' logs go to runs/<time>-up-<rig>/logs. They use your own ROS domain and discovery range, so that
 viewers, `ros2` and other nodes can attach. What the rig does is shown below: in a terminal by lines that change in
 place, and as a line for each change where output is kept. `--view` shows it on a page in the browser too, whose one
-control is stop.
+control is stop, with an estimate that grows while the rig runs.
 """
 
 from __future__ import annotations
@@ -47,7 +47,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_rig_file(parser)
     parser.add_argument("--namespace", default="", help="ROS namespace for every node of this rig")
     parser.add_argument("--record", type=Path, metavar="BAG", help="also record to this folder")
-    parser.add_argument("--view", action="store_true", help="also show it on a page in the browser")
+    parser.add_argument(
+        "--view", action="store_true", help="also identify while it runs, and show all on a page"
+    )
     add_page(parser)
 
 
@@ -57,6 +59,8 @@ def run(arguments: argparse.Namespace) -> int:
     refuse_what_cannot_run(kind, rig, arguments.record)
     has_images = kind is not RigKind.SIMULATED or rig.simulation.images
     executables = list(nodes_of_rig(kind, with_camera_images=has_images))
+    if arguments.view:
+        executables.append("live_identifier")
     changes: dict[str, object] = {}
     if arguments.record is not None:
         executables.append("bag_recorder")

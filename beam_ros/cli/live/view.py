@@ -51,6 +51,7 @@ def run(arguments: argparse.Namespace) -> int:
 def _show_bag(arguments: argparse.Namespace, rig: Rig, is_given: bool) -> int:
     from beam_ros.bags.reading import Bag
     from beam_ros.bags.summary import summarise
+    from beam_ros.offline.recorded_estimates import RecordedEstimates
     from beam_ros.view.losses import losses_of_bag
     from beam_ros.view.recorded import RecordedScene
     from beam_ros.view.scene import Scene
@@ -60,7 +61,8 @@ def _show_bag(arguments: argparse.Namespace, rig: Rig, is_given: bool) -> int:
         info = summarise(bag)
     scene = Scene(rig, source="bag", title=str(info.path), is_rig_given=is_given)
     scene.show_losses(losses_of_bag(info))
-    player = RecordedScene(arguments.bag, scene)
+    estimates = RecordedEstimates(arguments.bag, rig.live, arguments.namespace)
+    player = RecordedScene(arguments.bag, scene, estimate_at=estimates.at)
     server = PageServer(
         scene,
         player.orders,
@@ -70,7 +72,7 @@ def _show_bag(arguments: argparse.Namespace, rig: Rig, is_given: bool) -> int:
         port=arguments.port,
     )
     player.start(is_paused=arguments.paused)
-    return _until_interrupted(lambda: None, server.close, player.close)
+    return _until_interrupted(lambda: None, server.close, player.close, estimates.close)
 
 
 def _show_rig(arguments: argparse.Namespace, rig: Rig, is_given: bool) -> int:

@@ -290,9 +290,10 @@ function percent(share) {
 
 function drawIdentification() {
   const live = parts.identification;
-  for (const section of document.querySelectorAll(".identified")) section.classList.toggle("none", !live);
+  $("response").classList.toggle("none", !live || !live.response);
+  $("assumptions").classList.toggle("none", !live || !live.tests.length);
   if (live) responseChart.setSize({ width: $("response-chart").clientWidth || 300, height: 300 });
-  say($("live"), live ? `${live.sentence} ${digits(live.record_s, 1)} s of record are used.` : "No estimate is under way.");
+  say($("live"), live ? live.sentence : "No estimate is under way.");
   const modes = live ? live.modes : [], aims = live ? live.aims : [];
   $("modes").hidden = !modes.length;
   fill($("modes"), modes.map((mode, k) => [`${k + 1}`, ...withSd(mode.frequency_hz, mode.frequency_sd_hz),

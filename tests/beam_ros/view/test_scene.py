@@ -137,7 +137,7 @@ def test_the_rig_is_the_one_that_the_excitation_describes_unless_its_file_was_gi
         assert ("hub" in json.loads(scene.news(cursor))) == (not is_given)
 
 
-def test_the_estimate_is_shown_and_said_when_it_is_more_than_growing(scene):
+def test_the_estimate_is_shown_and_said_when_its_state_changes(scene):
     live = {
         "version": 1,
         "state": "growing",
@@ -155,10 +155,11 @@ def test_the_estimate_is_shown_and_said_when_it_is_more_than_growing(scene):
         "cost": {"share_of_core": 0.1, "seconds_of_last_fit": 0.1},
     }
     text(scene, "identification/live", live)
+    text(scene, "identification/live", {**live, "sentence": "one mode still"})
     assert scene.part("identification")["modes"][0]["frequency_hz"] == 4.4
-    assert logged(scene) == []
+    assert scene.part("identification")["sentence"] == "one mode still"
     text(scene, "identification/live", {**live, "state": "known", "sentence": "all aims are met"})
-    assert logged(scene) == ["identification: all aims are met"]
+    assert logged(scene) == ["identification: one mode so far", "identification: all aims are met"]
 
 
 def test_an_entry_at_another_place_of_a_bag_forgets_what_was_under_way(scene):
