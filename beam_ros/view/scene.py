@@ -67,11 +67,11 @@ _NOTHING_YET: Mapping[str, Any] = {
 
 @dataclass
 class Cursor:
-    """How far a reader is: versions by part, epoch and rows of traces and log, number of the picture."""
+    """How far a reader is: versions by part, epoch and rows of traces and log, which picture."""
 
     parts: dict[str, int] = field(default_factory=dict)
     rows: dict[str, tuple[int, int]] = field(default_factory=dict)
-    picture: int = 0
+    picture: tuple[int, bool] = (0, False)
 
 
 class Scene:
@@ -338,9 +338,10 @@ class Scene:
     def picture(self, cursor: Cursor) -> bytes:
         """Return the camera's newest frame where a reader does not have it, else nothing."""
         with self._lock:
-            if cursor.picture == self.pictures.number:
+            shown = self.pictures.shown()
+            if cursor.picture == shown:
                 return b""
-            cursor.picture = self.pictures.number
+            cursor.picture = shown
             return self.pictures.packed()
 
     def _draw(self) -> None:

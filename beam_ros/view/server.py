@@ -67,6 +67,7 @@ class Limits:
     frame_bytes : int -- longest frame that a reader may send
     first_request_s : float -- a connection that has asked for nothing by then is closed [s]
     news_hz, pictures_hz : float -- how often a reader receives what is new [Hz]
+    silence_s : float -- so long at most a reader hears nothing; then it hears that there is nothing [s]
     patience_s : float -- a reader that takes nothing for so long is left [s]
     leave_s : float -- so long a reader that is sent away may take to say goodbye [s]
     """
@@ -77,6 +78,7 @@ class Limits:
     first_request_s: float = 10.0
     news_hz: float = 20.0
     pictures_hz: float = 10.0
+    silence_s: float = 1.0
     patience_s: float = 10.0
     leave_s: float = 1.0
 
@@ -258,19 +260,23 @@ class PageServer:
 
     async def _send(self, reader: web.WebSocketResponse, request: web.Request) -> None:
         """Tell a reader what is new, as fast as it takes it and no faster than the limits say."""
-        cursor, ticks = Cursor(), 0
+        cursor, ticks, told_s = Cursor(), 0, self._loop.time()
         pictures_every = max(1, round(self.limits.news_hz / self.limits.pictures_hz))
         try:
             while not reader.closed:
                 news = self._scene.news(cursor)
-                if news:
-                    await asyncio.wait_for(reader.send_str(news), self.limits.patience_s)
+                if news or self._loop.time() - told_s > self.limits.silence_s:
+                    told_s = self._loop.time()
+                    await asyncio.wait_for(reader.send_str(news or "{}"), self.limits.patience_s)
                 if ticks % pictures_every == 0 and (picture := self._scene.picture(cursor)):
                     await asyncio.wait_for(reader.send_bytes(picture), self.limits.patience_s)
                 ticks += 1
                 await asyncio.sleep(1.0 / self.limits.news_hz)
         except (asyncio.TimeoutError, ConnectionError):
-            if request.transport is not None:
+            pass
+        finally:
+            # Whatever ended it: a page that hears nothing must not look as if it were connected.
+            if not reader.closed and request.transport is not None:
                 request.transport.abort()
 
     async def _obey(self, reader: web.WebSocketResponse, message: WSMessage) -> bool:

@@ -2,10 +2,11 @@
 "use strict";
 
 const $ = (id) => document.getElementById(id);
+const SILENCE_MS = 3000;       // the server says something every second: after so long the connection is dead
 const SECONDS = 10;            // the length of the traces, as in drawn_beam.py
 const parts = {};              // newest content of each part
 const rows = { hub: [], tip: [], log: [] };
-let socket = null, isBag = false, isSeeking = false, awaitsStop = null;
+let socket = null, isBag = false, isSeeking = false, awaitsStop = null, heardAt = 0;
 
 // --- words and tables: whatever comes from the rig is set as text, never as markup
 
@@ -442,12 +443,21 @@ function connect() {
   const scheme = location.protocol === "https:" ? "wss:" : "ws:";
   socket = new WebSocket(`${scheme}//${location.host}/news`);
   socket.binaryType = "arraybuffer";
-  socket.onopen = () => connected(true, "connected");
+  socket.onopen = () => { heardAt = performance.now(); connected(true, "connected"); };
   socket.onmessage = (event) => {
+    heardAt = performance.now();
     if (typeof event.data === "string") take(JSON.parse(event.data));
     else drawPicture(event.data).catch(() => { /* one frame that cannot be shown; the next one comes */ });
   };
   socket.onclose = lost;
+}
+
+// A network that is gone ends no connection by itself, and a stop into it would be lost without a word.
+function watch() {
+  if (socket.readyState !== WebSocket.OPEN || performance.now() - heardAt < SILENCE_MS) return;
+  socket.onclose = socket.onmessage = null;
+  socket.close();
+  lost();
 }
 
 makeCharts();
@@ -459,5 +469,5 @@ $("play").addEventListener("click", () => order(parts.player && parts.player.pla
 $("seek").addEventListener("input", () => { isSeeking = true; order("seek", Number($("seek").value)); });
 $("seek").addEventListener("change", () => { isSeeking = false; });
 $("output").addEventListener("change", drawResponse);
-setInterval(() => { describeTraces(); describeBeam(); if (awaitsStop) drawState(); }, 250);
+setInterval(() => { watch(); describeTraces(); describeBeam(); if (awaitsStop) drawState(); }, 250);
 connect();

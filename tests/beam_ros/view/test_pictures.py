@@ -60,7 +60,20 @@ def test_frames_that_come_too_soon_are_passed_over():
     pictures = Pictures(period_s=0.1)
     for k in range(100):
         pictures.take_frame(frame(k), 0.01 * k, is_compressed=False)
-    assert pictures.number == 10
+    assert pictures.shown() == (10, False)
+
+
+def test_a_frame_waits_for_the_tracker_as_long_as_it_is_kept():
+    pictures = Pictures(period_s=0.1, kept_s=0.5)
+    for k in range(1, 6):
+        pictures.take_frame(frame(k), 0.11 * k, is_compressed=False)
+    pictures.take_markers(cloud(3))
+    assert pictures.shown() == (3, True)
+    for k in range(6, 8):
+        pictures.take_frame(frame(k), 0.11 * k, is_compressed=False)
+    assert pictures.shown() == (3, True)
+    pictures.take_frame(frame(8), 0.88, is_compressed=False)
+    assert pictures.shown() == (8, False)  # the tracker has stopped: its last answer is not shown for ever
 
 
 def test_a_large_frame_is_shown_smaller_and_its_markers_stay_in_its_own_pixels():

@@ -20,7 +20,9 @@ from tests.graph import HANG_S
 
 pytestmark = pytest.mark.slow  # sockets and their clock
 
-LIMITS = Limits(connections=16, readers=3, first_request_s=0.5, news_hz=100.0, pictures_hz=100.0)
+LIMITS = Limits(
+    connections=16, readers=3, first_request_s=0.5, news_hz=100.0, pictures_hz=100.0, silence_s=0.2
+)
 
 
 class Served:
@@ -79,7 +81,10 @@ def served() -> Iterator[Served]:
 
 
 async def first_news(stream) -> dict:
-    return json.loads((await stream.receive()).data)
+    """Return the next thing that is new; that there is nothing is passed over."""
+    while not (news := json.loads((await stream.receive()).data)):
+        pass
+    return news
 
 
 def is_alive(served: Served) -> bool:
@@ -119,6 +124,14 @@ def test_a_reader_is_told_what_is_new_and_an_order_is_answered(served):
 
     assert served.talk(conversation) == {"answer": {"order": "stop", "text": "stopping", "done": True}}
     assert served.ordered == [7]
+
+
+def test_a_reader_hears_that_there_is_nothing_new_so_that_it_knows_a_dead_line_from_a_quiet_one(served):
+    async def conversation(stream):
+        await first_news(stream)
+        return json.loads((await stream.receive()).data)
+
+    assert served.talk(conversation) == {}
 
 
 def test_an_order_that_cannot_be_carried_out_says_why(served):
