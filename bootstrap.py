@@ -29,7 +29,20 @@ ROOT = os.path.dirname(os.path.abspath(__file__))
 OLDEST, NEWEST, OLDEST_GLIBC = (3, 10), (3, 14), (2, 28)
 PREFERRED = ("3.12", "3.11", "3.10", "3.13", "3.14")
 PLACES = ("~/.pyenv/versions/{0}.*/bin/python", "~/.local/share/uv/python/cpython-{0}.*/bin/python{0}")
-EXTRAS = ("rig", "ros", "dask", "compiled", "remote", "study", "files", "test", "dev", "browser", "docs")
+EXTRAS = (
+    "rig",
+    "view",
+    "ros",
+    "dask",
+    "compiled",
+    "remote",
+    "study",
+    "files",
+    "test",
+    "dev",
+    "browser",
+    "docs",
+)
 
 EXPECTED = (
     "expected CPython {}.{} to {}.{}; name one with --python, or install one beside it (python3.12 and "

@@ -13,10 +13,13 @@ PACKAGE = "beam_ros"
 # OpenCV 4.11 is the last that takes NumPy 1.26; pip finds it when NumPy is held there.
 RIG = ["opencv-python-headless>=4.6", "pyserial>=3.5"]
 
+# The page of `beam view` (docs/decisions/0017-one-small-server.md).
+VIEW = ["aiohttp>=3.9"]
+
 # ROS 2 Jazzy as wheels, pinned: later versions under these names are another distribution. They exist for
 # x86-64 Linux only; elsewhere, and where a ROS 2 is sourced, the machine's own is used.
 WHEELS = 'platform_system == "Linux" and platform_machine == "x86_64" and python_version < "3.15"'
-ROS = [*RIG, f"ros-rclpy[fastrtps]==7.1.6; {WHEELS}", f"ros-common-interfaces==5.3.6; {WHEELS}"]
+ROS = [*RIG, *VIEW, f"ros-rclpy[fastrtps]==7.1.6; {WHEELS}", f"ros-common-interfaces==5.3.6; {WHEELS}"]
 
 # Machine code for loops over long records and for the tracker's sums; the results are the same without.
 COMPILED = ["numba>=0.60"]
@@ -79,6 +82,7 @@ EXECUTABLES = [
     "vision_tracker",
     "excitation_generator",
     "identifier",
+    "live_identifier",
     "bag_recorder",
     "bag_player",
     "firmware_emulator",
@@ -153,6 +157,8 @@ setup(
             "config/viewers/*",
             "experiments/plans/*.yaml",
             "model_files/*.c",
+            "view/page/*.*",
+            "view/page/uplot/*.*",
         ],
     },
     data_files=[
@@ -182,6 +188,7 @@ setup(
     ],
     extras_require={
         "rig": RIG,
+        "view": VIEW,
         "ros": ROS,
         "test": TEST,
         "dask": DASK,

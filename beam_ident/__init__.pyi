@@ -15,6 +15,7 @@ from beam_ident.best_linear.result import BestLinearApproximation as BestLinearA
 from beam_ident.best_linear.result import LineVariances as LineVariances
 from beam_ident.data.batches import map_records as map_records
 from beam_ident.data.frequency_record import FrequencyRecord as FrequencyRecord
+from beam_ident.data.growing_record import GrowingRecord as GrowingRecord
 from beam_ident.data.prior import Prior as Prior
 from beam_ident.data.records import InputSignal as InputSignal
 from beam_ident.data.records import LowPass as LowPass
@@ -73,6 +74,8 @@ from beam_ident.excitation import Trajectory as Trajectory
 from beam_ident.excitation import crest_factor as crest_factor
 from beam_ident.excitation import describe_recipe as describe_recipe
 from beam_ident.excitation.shaped_move import ShapedMove as ShapedMove
+from beam_ident.modal.aims import Aim as Aim
+from beam_ident.modal.aims import aims_of as aims_of
 from beam_ident.modal.free_decay_result import FreeDecay as FreeDecay
 from beam_ident.modal.frequency_response import ModalFrequencyResponse as ModalFrequencyResponse
 from beam_ident.modal.identification_result import FrequencyDomainResult as FrequencyDomainResult
@@ -93,6 +96,7 @@ from beam_ident.modal_analysis import phase_collinearity as phase_collinearity
 from beam_ident.modal_analysis import stabilisation_chart as stabilisation_chart
 from beam_ident.modal_estimation.free_decay import fit_free_decay as fit_free_decay
 from beam_ident.modal_estimation.frequency_domain import fit_frequency_modes as fit_frequency_modes
+from beam_ident.modal_identification.growing import GrowingIdentification as GrowingIdentification
 from beam_ident.modal_identification.time_domain import identify as identify
 from beam_ident.noise.scores import InputCorrelation as InputCorrelation
 from beam_ident.noise.scores import Scores as Scores

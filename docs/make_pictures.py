@@ -3,7 +3,8 @@
     .venv/bin/python docs/make_pictures.py [FOLDER]          # default: docs/pictures
 
 Everything in them is computed: the beam's shape and its frames by the model of the default rig, the identification
-from the recorded bag of this tree, the chart from the code of its page.
+from the recorded bag of this tree, the chart from the code of its page. Pictures of a page in a browser are made
+where Playwright and a Chromium are installed (the extra `browser`).
 """
 
 from __future__ import annotations
@@ -37,7 +38,9 @@ from beam_ident.figures import (
 from beam_ident.figures.response_curves import drawing_lines, response_curves
 from beam_ident.responses.local_polynomial import local_polynomial_response
 from beam_ros.bags.reading import Bag
+from beam_ros.bags.summary import summarise
 from beam_ros.checks.bag_check import gates_of_bag
+from beam_ros.errors import UsageError
 from beam_ros.excitation.shaping import MoveOrder, shape_for_rig, unshaped_beside
 from beam_ros.experiments.quiet_moves import swings_figure
 from beam_ros.messages import BagTypes
@@ -45,16 +48,22 @@ from beam_ros.offline.axis_following import following_of_bag
 from beam_ros.offline.identification import identification_of_bags
 from beam_ros.offline.loading.experiment import load_experiment
 from beam_ros.offline.loading.options import FitOptions
+from beam_ros.offline.recorded_estimates import estimates_of_bag
 from beam_ros.offline.simulation import simulate
 from beam_ros.offline.swing_after import swing_after
 from beam_ros.offline.theory import theory_of_rig
 from beam_ros.offline.whole_beam import strip_parameters
 from beam_ros.reporting.move_figures import insensitivity_figure
+from beam_ros.reporting.printing import find_browser
 from beam_ros.rig.rig import Rig
 from beam_ros.studies.rows import Item, Settings, find_bags, study_row
 from beam_ros.studies.summary import deviation_figure
 from beam_ros.thesis.data import estimate_all
 from beam_ros.thesis.figures import bode
+from beam_ros.view.losses import losses_of_bag
+from beam_ros.view.recorded import RecordedScene
+from beam_ros.view.scene import Scene
+from beam_ros.view.server import PageServer
 from beam_ros.viewers.curves import COLOURS, live_plots
 from beam_ros.vision.measurement.overlay import draw_overlay
 from beam_ros.vision.rendering.frames import SceneRenderer
@@ -355,6 +364,48 @@ def quiet_move_pictures() -> dict[str, Figure]:
     }
 
 
+PAGE_PICTURES = {
+    "view-light": {"color_scheme": "light", "viewport": {"width": 1280, "height": 900}},
+    "view-dark": {"color_scheme": "dark", "viewport": {"width": 1280, "height": 900}},
+    "view-phone": {"color_scheme": "light", "viewport": {"width": 360, "height": 740}},
+}
+"""Pictures that a browser takes of the page of `beam view`, and how it holds it."""
+
+
+def page_pictures(folder: Path) -> list[Path]:
+    """Write the pictures of the page over a bag; returns none where there is no browser."""
+    try:
+        from playwright.sync_api import sync_playwright
+
+        executable = find_browser()
+    except (ImportError, UsageError):
+        return []
+    bag = ROOT / "bags" / "frames"
+    scene = Scene(Rig.from_file(), source="bag", title="bags/frames")
+    with Bag(bag) as opened:
+        scene.show_losses(losses_of_bag(summarise(opened)))
+    estimates = list(estimates_of_bag(bag, Rig.from_file().live))
+    player = RecordedScene(bag, scene, estimate_at=lambda _: estimates[-2][1])
+    links: list[str] = []
+    server = PageServer(scene, player.orders, on_tick=player.show, on_link=links.append)
+    files = []
+    with sync_playwright() as started:
+        browser = started.chromium.launch(executable_path=executable, args=["--no-sandbox"])
+        player.start(is_paused=True)
+        player.orders["seek"](4.3)
+        for name, options in PAGE_PICTURES.items():
+            page = browser.new_page(**options)
+            page.goto(links[0])
+            page.wait_for_selector("#camera:not([hidden])")
+            page.wait_for_timeout(1000.0)  # The notes are written four times a second.
+            files.append(folder / f"{name}.png")
+            page.screenshot(path=files[-1], full_page=name != "view-phone")
+        browser.close()
+    server.close()
+    player.close()
+    return files
+
+
 def make_pictures(folder: Path) -> list[Path]:
     """Write every picture into a folder and return the files."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -371,13 +422,14 @@ def make_pictures(folder: Path) -> list[Path]:
         "thesis": thesis_picture(),
         **quiet_move_pictures(),
     }
-    files = []
+    files = page_pictures(folder)
     for name, figure in figures.items():
         files.append(folder / f"{name}.png")
         figure.savefig(files[-1], dpi=110)
-        with Image.open(files[-1]) as drawn:
+    for path in files:
+        with Image.open(path) as drawn:
             small = drawn.convert("RGB").quantize(_COLOURS)
-        small.save(files[-1], optimize=True)
+        small.save(path, optimize=True)
     return files
 
 

@@ -142,6 +142,10 @@ class Executables:
                 faults.append(f"{running.name} ignored SIGINT for {_GRACE_S:g} s:\n{running.output()}")
                 running.process.kill()
                 running.process.wait()
+        # The helper that Python starts beside processes of its own ends a moment after them.
+        end = time.monotonic() + _GRACE_S
+        while marked_processes(self._mark) and time.monotonic() < end:
+            time.sleep(0.05)
         for pid in marked_processes(self._mark):
             faults.append(f"process {pid} was left behind")
             with contextlib.suppress(ProcessLookupError):

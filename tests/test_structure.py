@@ -85,6 +85,7 @@ TESTED_IN = (
     ("beam_ros/cli", "options", "cli/test_main"),
     ("beam_ros/cli/live", "call up", "launching/test_up"),
     ("beam_ros/launching", "guards", "launching/test_up"),
+    ("beam_ros/cli/live", "view", "launching/test_live_view"),
     ("beam_ros/cli/live", "demo record replay run", "cli/test_main"),
     ("beam_ros/cli/live", "experiment", "experiments/test_conduct"),
     ("beam_ros/cli/live", "thesis", "thesis/test_document"),
@@ -145,6 +146,7 @@ TESTED_IN = (
     ("beam_ros/nodes", "bag_recorder", "bags/test_bag_recorder"),
     ("beam_ros/nodes", "simulator", "nodes/test_contract"),
     ("beam_ros/nodes", "identifier", "launching/test_demo"),
+    ("beam_ros/offline", "estimate_process", "nodes/test_live_identifier"),
     (
         "beam_ros/model_files",
         "filter_chain mat modelica ro_crate shapers universal",

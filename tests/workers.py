@@ -23,6 +23,7 @@ LIVE = {
     "ports": (
         *(f"tests/beam_ros/hub/{room}/" for room in ("emulated", "line", "links")),
         "tests/beam_ros/bags/live/",
+        "tests/beam_ros/view/test_server.py",
         "tests/beam_ros/experiments/test_conduct.py",
     ),
 }

@@ -46,7 +46,11 @@ def read(kind: type[T], data: Mapping[str, Any], name: str, schema: int) -> T:
     ModelFormatError
         Another type or schema, a missing entry, or an entry of another kind.
     """
-    entries = checked_entries(data, name, schema)
+    return rebuilt(kind, checked_entries(data, name, schema), name)
+
+
+def rebuilt(kind: type[T], entries: Mapping[str, Any], name: str) -> T:
+    """Return a dataclass of the entries of a mapping, or raise ModelFormatError under a name."""
     with complaints_about(name):
         return _rebuilt_fields(kind, entries, "")
 
@@ -142,6 +146,10 @@ def _rebuilt(hint: Any, value: Any, where: str) -> Any:
         if not isinstance(value, list | tuple):
             raise TypeError(f"{where} is {value!r}; expected a list")
         return tuple(_rebuilt(arguments[0], part, f"{where}[{k}]") for k, part in enumerate(value))
+    if origin is Mapping:
+        if not isinstance(value, Mapping):
+            raise TypeError(f"{where} is {value!r:.60}; expected a mapping")
+        return {str(key): _rebuilt(arguments[1], part, f"{where}[{key!r}]") for key, part in value.items()}
     if dataclasses.is_dataclass(hint) and isinstance(hint, type):
         if not isinstance(value, Mapping):
             raise TypeError(f"{where} is {value!r}; expected the entries of a {hint.__name__}")

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -42,6 +43,15 @@ from beam_ident.sensing.blows import without_noise_between_blows
 from beam_ident.sensing.damage import damage_warnings, without_repeated
 from beam_ident.sensing.quantisation import without_clipped
 from beam_ident.sensing.still_noise import with_found_noise
+
+
+@dataclass(frozen=True, eq=False)
+class Reached:
+    """Where a search ended, and what it was asked for."""
+
+    asked: IdentificationTask
+    end: End
+
 
 LATENCY_PRIOR = Prior(0.0, math.inf)
 CLOCK_RATE_PRIOR = Prior(0.0, 50e-6)
@@ -106,6 +116,22 @@ def identify(
         A record from which nothing can be identified: too few samples for the order,
         a constant output, an input and outputs at rest, an impossible order, no such input, no such output.
     """
+    asked = (structure, n_modes, latency, clock_rate, input_name, max_modes, progress)
+    return identified(record, *asked, ends=[])
+
+
+def identified(
+    record: TimeRecord | Sequence[TimeRecord],
+    structure: StructureKind | ModalStructure | None,
+    n_modes: int | None,
+    latency: Prior | Mapping[str, Prior | float] | None,
+    clock_rate: Prior | Mapping[str, Prior | float] | None,
+    input_name: str | Sequence[str] | None,
+    max_modes: int,
+    progress: Progress | None,
+    ends: list[Reached],
+) -> IdentificationResult:
+    """Identify as ``identify`` does, and keep where the searches ended in ``ends``."""
     records = require_records(record, may_lack_outputs=True, takes_low_passes=True)
     drives = chosen_inputs(records[0], input_name)
     asked_latency = latency
@@ -116,7 +142,7 @@ def identify(
         """Identify with another structure, or with stamps that are earlier by a time [s]."""
         moved = [_earlier(one, by_s) for one in records]
         prior = asked_latency if latency is None else latency
-        found = identify(moved, kind, n_modes, prior, clock_rate, input_name, max_modes, progress)
+        found = identified(moved, kind, n_modes, prior, clock_rate, input_name, max_modes, progress, ends)
         return found.with_later_stamps(by_s)
 
     if structure is None:
@@ -151,22 +177,31 @@ def identify(
             return again(structure, least, Prior(0.0, farthest))
     apart = {name: delay - least for name, delay in late.items()}
     apart = {name: delay for name, delay in apart.items() if abs(delay) > _BEGINS_FAR * farthest}
-    result = _identified(asked, _far_apart(asked, conditions, apart), names, said)
+    result = _searched(asked, _far_apart(asked, conditions, apart), names, said, ends)
     if not asked.latency.is_free or abs(result.model.latency) <= _AT_THE_END * farthest:
         return result
     return replace(result, warnings=(*result.warnings, _TOO_LATE.format(result.model.latency, farthest)))
 
 
-def _identified(
-    asked: IdentificationTask, conditions: Conditions, names: Sequence[str], said: Sequence[str]
+def _searched(
+    asked: IdentificationTask,
+    conditions: Conditions,
+    names: Sequence[str],
+    said: Sequence[str],
+    ends: list[Reached],
 ) -> IdentificationResult:
     """Return what a search finds, without clipped samples, and with what is known of the records before it."""
     damage = [text for one in conditions.measured for text in damage_warnings(one.outputs, one.inputs)]
+
+    def result_of(measured: Sequence[TimeRecord]) -> IdentificationResult:
+        ends.append(Reached(asked, _explored(asked, replace(conditions, measured=measured))))
+        return ends[-1].end.result
+
     try:
         result, clipped = without_clipped(
             list(conditions.measured),
             names,
-            lambda own: _explored(asked, replace(conditions, measured=own)).result,
+            result_of,
             _prediction,
         )
     except EstimationError as err:
@@ -175,6 +210,48 @@ def _identified(
         raise EstimationError(f"{err}. {' '.join(damage)}") from err
     doubts = [text for text in (*said, clipped, *damage) if text]
     return replace(result, warnings=(*result.warnings, *doubts)) if doubts else result
+
+
+def refitted(reached: Reached, records: Sequence[TimeRecord], clock_rate: Prior | None) -> Reached:
+    """Return where the modes of an end go on records that have grown since, under the same conditions.
+
+    Parameters
+    ----------
+    reached : Reached -- on the same records, shorter
+    records : sequence of TimeRecord -- as they are now
+    clock_rate : Prior or None -- what is known of it by now; None: nothing else
+
+    Raises
+    ------
+    EstimationError
+        They cannot be fitted any more.
+    """
+    end, asked = reached.end, reached.asked
+    names = list(dict.fromkeys(name for one in records for name in one.output_names))
+    prepared, _ = _prepared(list(records), end.conditions.terms, names, asked.input_names)
+    conditions = replace(
+        end.conditions,
+        measured=[
+            _without_masked(own, known)
+            for own, known in itertools.zip_longest(prepared.measured, end.conditions.measured)
+        ],
+        found_noise=prepared.found_noise,
+        start=end.weighed.fit,
+    )
+    asked = replace(asked, n_modes=len(end.weighed.fit.omegas), clock_rate=clock_rate or asked.clock_rate)
+    return Reached(asked, asked.end(conditions, after=end))
+
+
+def _without_masked(record: TimeRecord, known: TimeRecord | None) -> TimeRecord:
+    """Return a record without the samples that did not count while it was shorter."""
+    if known is None:
+        return record
+    masked = {own.name: own.times_s[~own.is_valid] for own in known.outputs}
+    outputs = tuple(
+        replace(own, values=np.where(np.isin(own.times_s, masked.get(own.name, ())), np.nan, own.values))
+        for own in record.outputs
+    )
+    return replace(record, outputs=outputs)
 
 
 def _far_delays(asked: IdentificationTask, conditions: Conditions, farthest: float) -> dict[str, float]:

@@ -73,7 +73,7 @@ class Layout:
     """
 
     def __init__(self, store: Any, type_name: str, sample: bytes, free_texts: Collection[str] = ()) -> None:
-        if sample[:2] != ENCAPSULATION[:2] or len(sample) == len(ENCAPSULATION):
+        if sample[:2] != ENCAPSULATION[:2] or len(sample) <= len(ENCAPSULATION):
             raise MessageDecodeError(f"{len(sample)} bytes that are no little-endian {type_name}")
         self.sample, self.size = sample, len(sample)
         self._store, self._free_texts = store, free_texts

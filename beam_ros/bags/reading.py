@@ -53,7 +53,7 @@ from beam_ros.messages import SECOND_NS, BagTypes, read_diagnostics, read_json
 from beam_ros.messages.health import Health
 from beam_ros.process.remote_paths import AnyPath, any_path
 
-_AnyIntake = TypeVar("_AnyIntake", bound=Intake[Any])
+AnyIntake = TypeVar("AnyIntake", bound=Intake[Any])
 
 STORAGE_SUFFIXES = (".mcap", ".db3")
 
@@ -286,7 +286,7 @@ class Bag:
         for intake in empty.values():
             intake.is_filled = True
 
-    def _filled(self, topic: str, kind: type[_AnyIntake], intake: _AnyIntake) -> _AnyIntake:
+    def _filled(self, topic: str, kind: type[AnyIntake], intake: AnyIntake) -> AnyIntake:
         """Return what was kept of a topic, or else fill an intake with it."""
         kept = self._kept.pop(self.full_name(topic), None)
         if isinstance(kept, kind):

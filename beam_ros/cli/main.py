@@ -25,6 +25,7 @@ LIVE: dict[str, str] = {
     "experiment": "excitations, recordings, identification and validation as one plan, resumable, with one report",
     "thesis": "the reference work, reproduced: its tables and figures from bags, numbered as there",
     "up": "the rig's nodes together, until Ctrl-C",
+    "view": "the running rig, or a recorded bag, on a page in the browser; stop is its only control",
     "run": "one node, as `ros2 run beam_ros NODE`",
     "call": "a service of the running rig: home, enable, start the excitation, stop",
     "record": "every topic of a running rig into a bag",

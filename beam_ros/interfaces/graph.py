@@ -218,6 +218,13 @@ TOPICS: dict[str, Topic] = {
             "identification/result", STRING, _LATCHED, "JSON: the identified model and where its report lies"
         ),
         Topic(
+            "identification/live",
+            STRING,
+            _LATCHED,
+            "JSON, at most 2 Hz: modes, responses and tests from the samples that have arrived",
+            is_derived=True,
+        ),
+        Topic(
             "/diagnostics",
             DIAGNOSTICS,
             QualityOfService(10),
@@ -271,6 +278,17 @@ _HUB_PUBLISHES = (
 _HUB_SERVES = ("hub/enable", "hub/home", "hub/stop", "hub/clear_fault")
 _CAMERA = ("camera/image_raw", "camera/image_raw/compressed", "camera/camera_info")
 _RECORDED = tuple(name for name, topic in TOPICS.items() if not topic.is_derived)
+
+
+LIVE_NEEDS = (
+    "hub/measured",
+    "hub/applied",
+    "hub/clock_sync",
+    "hub/sequence_state",
+    "beam/displacement",
+    "excitation/info",
+)
+"""What an identification reads of a bag, and of a rig that runs."""
 
 
 def _group(group: str, *left_out: str) -> tuple[str, ...]:
@@ -389,6 +407,15 @@ NODES: dict[str, Node] = {
             ("identifier/identify",),
             _group("identifier"),
             "continuous-time model with common poles from a recorded bag",
+        ),
+        Node(
+            "live_identifier",
+            "live_identifier",
+            ("identification/live", "/diagnostics"),
+            LIVE_NEEDS,
+            (),
+            _group("live"),
+            "the same model from what has arrived so far, while the rig runs",
         ),
     )
 }

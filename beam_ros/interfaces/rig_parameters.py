@@ -530,6 +530,15 @@ class IdentifierSettings:
 
 
 @dataclass(frozen=True)
+class LiveSettings:
+    """The estimate that grows while the rig runs."""
+
+    aims: str = setting("relative standard deviations that are asked, f1:0.01%, zeta1:2%; empty: none")
+    share_of_core: float = setting("part of one processor's time that the estimates may take", "1", 0.01, 1.0)
+    niceness: int = setting("how far the estimates let everything else go first; 0: not at all", "", 0, 19)
+
+
+@dataclass(frozen=True)
 class RigParameters:
     """Every parameter of the rig: a group for each section of the rig file."""
 
@@ -551,6 +560,7 @@ class RigParameters:
     recorder: RecorderSettings
     player: PlayerSettings
     identifier: IdentifierSettings
+    live: LiveSettings
 
     def __getitem__(self, name: str) -> Any:
         """Return a parameter's value by its dotted name, for code that goes through the whole table."""

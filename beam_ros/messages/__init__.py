@@ -40,6 +40,7 @@ from beam_ros.messages.joint_states import displacement_messages as displacement
 from beam_ros.messages.joint_states import hub_state as hub_state
 from beam_ros.messages.joint_states import read_displacement as read_displacement
 from beam_ros.messages.joint_states import read_hub_state as read_hub_state
+from beam_ros.messages.live_identification import LiveIdentification as LiveIdentification
 from beam_ros.messages.markers import MARKER_DTYPE as MARKER_DTYPE
 from beam_ros.messages.markers import MarkerCloud as MarkerCloud
 from beam_ros.messages.markers import beam_shape as beam_shape

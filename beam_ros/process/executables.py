@@ -23,6 +23,7 @@ MODULES = {
     "vision_tracker": "beam_ros.nodes.vision_tracker",
     "excitation_generator": "beam_ros.nodes.excitation_generator",
     "identifier": "beam_ros.nodes.identifier",
+    "live_identifier": "beam_ros.nodes.live_identifier",
     "bag_recorder": "beam_ros.nodes.bag_recorder",
     "bag_player": "beam_ros.nodes.bag_player",
     "firmware_emulator": "beam_ros.nodes.firmware_emulator",
@@ -42,6 +43,7 @@ _PACKAGES = {  # module: (name on PyPI, name in Ubuntu)
     "ruamel": ("ruamel.yaml", "python3-ruamel.yaml"),
     "rosbags": ("rosbags", None),
     "mcap": ("mcap", None),
+    "aiohttp": ("aiohttp", "python3-aiohttp"),
 }
 
 

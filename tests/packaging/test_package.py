@@ -25,6 +25,7 @@ PACKAGES = ("beam_ros", "beam_model", "beam_ident")
 
 ROSDEP_KEYS = {  # top-level module: key in package.xml; None: from PyPI only, or part of another
     "numpy": "python3-numpy",
+    "aiohttp": "python3-aiohttp",
     "scipy": "python3-scipy",
     "jinja2": "python3-jinja2",
     "matplotlib": "python3-matplotlib",

@@ -118,9 +118,9 @@ class Pace:
         self._reached_ns = 0
         self._squares, self._count = 0.0, 0
 
-    def begin(self, now_ns: int) -> None:
-        """Begin the bag, or begin it anew, at a steady time."""
-        self._begun_ns, self._reached_ns = now_ns, 0
+    def begin(self, now_ns: int, position_ns: int = 0) -> None:
+        """Begin the bag, or begin it anew, at a steady time and at a position in it."""
+        self._begun_ns, self._reached_ns = now_ns - round(position_ns / self._rate), position_ns
 
     def pause(self, now_ns: int) -> None:
         """Stand still."""

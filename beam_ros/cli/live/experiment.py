@@ -1,5 +1,8 @@
 """Run an experiment from its plan: recordings, estimations and validations, into one folder with one report.
 
+With --until in place of a PLAN it goes on, segment by segment, each designed from those before, until the modes are
+known as well as that asks or the time is up: beam experiment --until "f1:0.01%, zeta1:2%".
+
 PLAN is a YAML file, or the name of a packaged plan (listed below). Everything is checked before anything moves. What
 is done is kept after every step: --resume goes on after Ctrl-C or a crash, and the outcome is the same.
 """
@@ -7,13 +10,15 @@ is done is kept after every step: --resume goes on after Ctrl-C or a crash, and 
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Sequence
 from datetime import datetime, timezone
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from beam_ros.cli.options import run_folder
+from beam_ros.cli.options import read_rig, run_folder
+from beam_ros.errors import UsageError
 from beam_ros.interfaces.graph import RigKind
 from beam_ros.process.executables import INTERRUPTED
 from beam_ros.process.interruption import end_with, signals_taken
@@ -24,7 +29,7 @@ if TYPE_CHECKING:
     from beam_ident.report.gates import Gate
     from beam_ros.excitation.shaping import MoveOrder
     from beam_ros.experiments.plan import Plan
-    from beam_ros.experiments.steps import Means, Report
+    from beam_ros.experiments.steps import Means, Record, Report
     from beam_ros.offline.identification import IdentificationOutcome
     from beam_ros.offline.loading.options import FitOptions
     from beam_ros.process.remote_paths import AnyPath
@@ -34,7 +39,18 @@ if TYPE_CHECKING:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's arguments."""
     parser.add_argument(
-        "plan", type=Path, metavar="PLAN", help="the plan's file, or the name of a packaged one"
+        "plan", type=Path, nargs="?", metavar="PLAN", help="the plan's file, or the name of a packaged one"
+    )
+    parser.add_argument(
+        "--until",
+        metavar="AIMS",
+        help="relative standard deviations that are asked: f1:0.01%%, zeta1:2%% (quantity and number of a mode)",
+    )
+    parser.add_argument(
+        "--time", type=float, default=120.0, metavar="SECONDS", help="with --until at most so much motion"
+    )
+    parser.add_argument(
+        "--segment", type=float, default=8.0, metavar="SECONDS", help="with --until the length of a segment"
     )
     add_rig(parser)
     add_folder(parser, "runs/<time>-<plan>")
@@ -89,6 +105,10 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the verb."""
     from beam_ros.experiments.conduct import describe_plan
 
+    if (arguments.plan is None) == (arguments.until is None):
+        raise UsageError("expected either a PLAN or --until: what is to be done, or what is to be known")
+    if arguments.until is not None:
+        return _run_until(arguments)
     plan = read_given_plan(arguments, arguments.plan)
     if arguments.check:
         print("\n".join(describe_plan(plan)))
@@ -99,6 +119,46 @@ def run(arguments: argparse.Namespace) -> int:
         return 0
     print(f"report   {folder / 'report.html'}\noutcome  {folder / 'outcome.json'}")
     return 0
+
+
+def _run_until(arguments: argparse.Namespace) -> int:
+    """Run segments until the aims are met; the exit status is 1 where they are not."""
+    from beam_ident import aims_of
+    from beam_ident.report.page import write_whole
+    from beam_ros.experiments.until_known import KnownSegment, experiment_until
+    from beam_ros.offline.loading.experiment import Experiment, load_experiment
+    from beam_ros.process.folders import make_folder
+
+    aims = aims_of(arguments.until)
+    rig, kind = read_rig(arguments), RigKind(arguments.rig or RigKind.SIMULATED)
+    folder = run_folder(arguments.out, "until")
+    make_folder(folder)
+    record = _record_on(kind, kind is not RigKind.SIMULATED or bool(arguments.over_ros), folder)
+    seed = rig.simulation.seed if arguments.seed is None else arguments.seed
+
+    def record_segment(here: Rig, number: int) -> Experiment:
+        bag = folder / f"segment-{number}"
+        with Progress(f"segment {number}", 1.0) as stage:
+            record(
+                here.with_values({"simulation.seed": seed + number}),
+                bag,
+                with_frames=False,
+                report=lambda share, phrase: stage.update(share),
+            )
+            stage.finish(f"{here.excitation.kind}, {here.excitation.duration + here.excitation.still:g} s")
+        return load_experiment(bag, rig)
+
+    def told(segment: KnownSegment) -> None:
+        known = ", ".join(f"{name} to {100.0 * sd:.3g} %" for name, sd in segment.relative_sd.items())
+        print(f"  {segment.excitation}: {segment.n_modes} modes; {known}", file=sys.stderr)
+
+    outcome = experiment_until(rig, aims, record_segment, arguments.time, arguments.segment, told=told)
+    write_whole(folder / "until.json", strict_json(outcome.to_dict(), indent=1))
+    if arguments.json:
+        print(strict_json(outcome.to_dict(), indent=2))
+    else:
+        print(f"{outcome.sentence}\nbags and model  {folder}")
+    return 0 if outcome.is_known else 1
 
 
 def read_given_plan(arguments: argparse.Namespace, path: Path) -> Plan:
@@ -148,15 +208,21 @@ def _check(bag: AnyPath, options: FitOptions) -> Sequence[Gate]:
 
 
 def _means(plan: Plan, folder: Path) -> Means:
-    from beam_ros.experiments.steps import Means, record_by_core
+    from beam_ros.experiments.steps import Means
 
-    if not plan.is_live:
-        return Means(record_by_core, _calibrate, _check, _report, _shape)
+    return Means(_record_on(plan.kind, plan.is_live, folder), _calibrate, _check, _report, _shape)
+
+
+def _record_on(kind: RigKind, is_live: bool, folder: Path) -> Record:
+    """Return how a rig records: as nodes, or by the simulator's core."""
+    from beam_ros.experiments.steps import record_by_core
+
+    if not is_live:
+        return record_by_core
     with signals_taken(end_with(INTERRUPTED)):
         from beam_ros.launching.recording import record_live
 
-    record = partial(_record_live, record_live, plan.kind, folder / "logs")
-    return Means(record, _calibrate, _check, _report, _shape)
+    return partial(_record_live, record_live, kind, folder / "logs")
 
 
 def _record_live(

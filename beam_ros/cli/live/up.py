@@ -1,16 +1,22 @@
 """Start the rig's nodes together and keep them until Ctrl-C.
 
 The nodes' logs go to runs/<time>-up-<rig>/logs. They use your own ROS domain and discovery range, so that
-viewers, `ros2` and other nodes can attach.
+viewers, `ros2` and other nodes can attach. What the rig does is shown below: in a terminal by lines that change in
+place, and as a line for each change where output is kept. `--view` shows it on a page in the browser too, whose one
+control is stop, with an estimate that grows while the rig runs.
 """
 
 from __future__ import annotations
 
 import argparse
+import sys
 import tempfile
 import time
+from contextlib import ExitStack
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+from beam_ros.cli.live.view import add_page, serve_rig
 from beam_ros.cli.options import add_rig_file, read_rig, run_folder
 from beam_ros.interfaces.graph import RigKind, emulated_port, nodes_of_rig
 from beam_ros.launching.guards import refuse_what_cannot_run
@@ -21,6 +27,12 @@ from beam_ros.launching.processes import (
 from beam_ros.process.executables import INTERRUPTED
 from beam_ros.process.folders import make_folder
 from beam_ros.process.interruption import end_with, signals_taken
+from beam_ros.rig.rig import Rig
+
+if TYPE_CHECKING:
+    from beam_ros.launching.live_view import LiveView
+    from beam_ros.view.scene import Scene
+    from beam_ros.view.terminal import ChangingLines
 
 _WATCH_S = 0.2
 _START_TIMEOUT_S = 40.0
@@ -35,6 +47,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_rig_file(parser)
     parser.add_argument("--namespace", default="", help="ROS namespace for every node of this rig")
     parser.add_argument("--record", type=Path, metavar="BAG", help="also record to this folder")
+    parser.add_argument(
+        "--view", action="store_true", help="also identify while it runs, and show all on a page"
+    )
+    add_page(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -43,6 +59,8 @@ def run(arguments: argparse.Namespace) -> int:
     refuse_what_cannot_run(kind, rig, arguments.record)
     has_images = kind is not RigKind.SIMULATED or rig.simulation.images
     executables = list(nodes_of_rig(kind, with_camera_images=has_images))
+    if arguments.view:
+        executables.append("live_identifier")
     changes: dict[str, object] = {}
     if arguments.record is not None:
         executables.append("bag_recorder")
@@ -54,8 +72,10 @@ def run(arguments: argparse.Namespace) -> int:
     with (
         tempfile.TemporaryDirectory(prefix="beam-rig-") as scratch,
         RigClient(namespace=arguments.namespace) as client,
+        ExitStack() as shown,
     ):
         client.refuse_live_hub()
+        watch = _Watch(arguments, rig, shown)
         logs = make_folder(run_folder(None, f"up-{kind.value}")) / "logs"
         if kind is RigKind.EMULATED:
             changes.update(emulated_port(rig.serial.port or f"{scratch}/controller"))
@@ -86,9 +106,50 @@ def run(arguments: argparse.Namespace) -> int:
             try:
                 while True:
                     nodes.check()
+                    watch.show()
                     time.sleep(_WATCH_S)
             except KeyboardInterrupt:
                 statuses = nodes.end()
     failed = [f"{name} with status {status}" for name, status in statuses.items() if status]
     print("ended" if not failed else f"ended, but {', '.join(failed)}; logs in {logs}")
     return 1 if failed else 0
+
+
+class _Watch:
+    """Shows what the rig does: in the terminal, and on the page where it was asked for."""
+
+    def __init__(self, arguments: argparse.Namespace, rig: Rig, shown: ExitStack) -> None:
+        from beam_ros.launching.live_view import LIGHT_TOPICS, TEXT_TOPICS, LiveView
+        from beam_ros.shell.other_hubs import reach
+        from beam_ros.view.scene import Cursor, Scene
+        from beam_ros.view.terminal import ChangingLines
+
+        self._lines: ChangingLines = ChangingLines(sys.stdout)
+        self._scene: Scene = Scene(rig, source="rig", title=reach(), is_rig_given=True)
+        is_seen = arguments.view or self._lines.is_watched
+        self._view: LiveView = shown.enter_context(
+            LiveView(
+                self._scene,
+                namespace=arguments.namespace,
+                topics=LIGHT_TOPICS if is_seen else TEXT_TOPICS,
+            )
+        )
+        self._cursor = Cursor()
+        if arguments.view:
+            server = serve_rig(
+                self._scene,
+                self._view,
+                arguments.host,
+                arguments.port,
+                on_link=lambda link: self._lines.say(f"page: {link}"),
+            )
+            shown.callback(server.close)
+
+    def show(self) -> None:
+        """Print what is new, and what is now."""
+        from beam_ros.view.terminal import log_line, status_lines
+
+        self._view.look()
+        for entry in self._scene.new_entries(self._cursor):
+            self._lines.say(log_line(entry))
+        self._lines.show(status_lines(self._scene))

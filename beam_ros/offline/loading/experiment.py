@@ -121,40 +121,46 @@ def load_experiment(
     options = options or FitOptions()
     if is_column_file(path):
         return _columns_experiment(Path(str(path)), rig, structure, options, start_s, end_s)
-    signals = options.signals
+    with Bag(path, start_s=start_s, end_s=end_s) as bag:
+        return experiment_of(bag, rig, structure, options)
+
+
+def experiment_of(
+    bag: Bag, rig: Rig | None = None, structure: str = "auto", options: FitOptions | None = None
+) -> Experiment:
+    """Read an open bag, or what was heard so far, as one experiment: as ``load_experiment`` does."""
+    options = options or FitOptions()
+    path, signals = bag.path, options.signals
     signals.require_topics()
     notes: list[str] = []
     late: CameraLateness | None = None
-    with Bag(path, start_s=start_s, end_s=end_s) as bag:
-        if not signals.outputs:
-            bag.require("beam/displacement")
-        bag.read("excitation/info", "hub/sequence_state", VIDEO_TOPIC, "/diagnostics")
-        info = bag.excitation_info() or {}
-        apparatus = apparatus_of(bag, info)
-        rig = rig or _rig_of(path, info, signals, notes)
-        videos = bag.texts(VIDEO_TOPIC)
-        if rig is not None and videos and "points" in videos[-1]:
-            rig = rig_with_points(rig, videos[-1]["points"])
-        drive = hub_drive(bag, rig, structure, info, notes) if signals.drive is None else None
-        if drive is None:
-            assert signals.drive is not None
-            drive = _signal_drive(
-                read_field(bag, signals.drive.topic, signals.drive.field), signals.drive, notes
-            )
-        if signals.outputs:
-            outputs = [
-                _signal_output(read_field(bag, own.topic, own.field), own, drive.origin_ns, notes)
-                for own in signals.outputs
-            ]
-        else:
-            displacements = well_placed(bag, bag.displacements(), drive.origin_ns, notes)
-            markers = marker_outputs(displacements, drive.origin_ns, rig, notes)
-            if drive.is_hub and not videos:
-                late = camera_lateness(bag, markers, drive.origin_ns)
-            if late is not None:
-                markers = on_time(markers, late)
-                notes.append(late.sentence)
-            outputs = [SensorOutput(marker) for marker in markers]
+    if not signals.outputs:
+        bag.require("beam/displacement")
+    bag.read("excitation/info", "hub/sequence_state", VIDEO_TOPIC, "/diagnostics")
+    info = bag.excitation_info() or {}
+    apparatus = apparatus_of(bag, info)
+    rig = rig or _rig_of(path, info, signals, notes)
+    videos = bag.texts(VIDEO_TOPIC)
+    if rig is not None and videos and "points" in videos[-1]:
+        rig = rig_with_points(rig, videos[-1]["points"])
+    drive = hub_drive(bag, rig, structure, info, notes) if signals.drive is None else None
+    if drive is None:
+        assert signals.drive is not None
+        drive = _signal_drive(read_field(bag, signals.drive.topic, signals.drive.field), signals.drive, notes)
+    if signals.outputs:
+        outputs = [
+            _signal_output(read_field(bag, own.topic, own.field), own, drive.origin_ns, notes)
+            for own in signals.outputs
+        ]
+    else:
+        displacements = well_placed(bag, bag.displacements(), drive.origin_ns, notes)
+        markers = marker_outputs(displacements, drive.origin_ns, rig, notes)
+        if drive.is_hub and not videos:
+            late = camera_lateness(bag, markers, drive.origin_ns)
+        if late is not None:
+            markers = on_time(markers, late)
+            notes.append(late.sentence)
+        outputs = [SensorOutput(marker) for marker in markers]
     clock_rate, tolerance = drive.clock_rate, rig.camera.clock_tolerance if rig else _CLOCK_TOLERANCE
     if videos:
         # The frames run on the camera's own clock, which is known as well as the low marker tells.

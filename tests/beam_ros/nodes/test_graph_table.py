@@ -133,6 +133,7 @@ def test_every_node_is_on_the_graph_as_its_row_says_and_reads_what_it_declares(
     runs.start("excitation_generator", "a", "excitation.duration:=2.0", "excitation.still:=1.0")
     runs.start("bag_recorder", "a", f"recorder.path:={tmp_path / 'recording'}", "recorder.images:=true")
     runs.start("identifier", "a", f"identifier.bag:={tmp_path / 'nowhere'}")
+    runs.start("live_identifier", "a")
     runs.start("firmware_emulator", "b", *linked, "simulation.preset:=realistic")
     runs.start("hub_driver", "b", *linked)
     runs.start("simulator", "c", *made_up)

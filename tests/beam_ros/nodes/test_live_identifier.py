@@ -1,0 +1,90 @@
+"""The node `live_identifier` beside a rig that runs: it grows, ends with the bag's answer, and disturbs nobody."""
+
+from __future__ import annotations
+
+import os
+import signal
+from pathlib import Path
+
+import pytest
+
+from beam_ros import messages
+from beam_ros.interfaces.graph import SET_BOOL
+from beam_ros.messages import LiveIdentification
+from beam_ros.offline.identification import identification_of_bags
+
+pytestmark = pytest.mark.ros
+pytest.importorskip("rclpy")
+
+RIG = ("-p", "simulation.images:=false", "-p", "hub.watchdog:=1.0")
+SHORT = ("-p", "excitation.duration:=8.0", "-p", "excitation.still:=3.0")
+
+
+def listen(graph) -> list[LiveIdentification]:
+    said: list[LiveIdentification] = []
+    graph.listen(
+        "identification/live", lambda message: said.append(LiveIdentification.from_json(message.data))
+    )
+    return said
+
+
+def test_it_grows_with_a_rig_and_ends_with_the_answer_of_the_recorded_bag(
+    executables, graph, tmp_path: Path
+) -> None:
+    said, recorded = listen(graph), []
+    graph.listen("recorder/state", lambda message: recorded.append(messages.read_json(message)))
+    nodes = [
+        executables.start("simulator", "--ros-args", *RIG),
+        executables.start("excitation_generator", "--ros-args", *SHORT),
+        executables.start("bag_recorder", "--ros-args", "-p", f"recorder.path:={tmp_path / 'bag'}"),
+        executables.start("live_identifier", "--ros-args", "-p", "live.aims:=f1:1%, zeta2:1e-9"),
+    ]
+    graph.wait(lambda: bool(said) and bool(recorded), "the nodes")
+    assert said[0].state == "waiting"
+    graph.call("hub/home")
+    client = graph.node.create_client(graph.types.service_class(SET_BOOL), "hub/enable")
+    assert client.wait_for_service(20.0)
+    enabled = client.call_async(client.srv_type.Request(data=True))
+    graph.wait(enabled.done, "an enabled hub")
+    graph.call("excitation/start")
+    graph.wait(lambda: said[-1].state == "ended", "the end of the excitation", 90.0)
+    states = [own.state for own in said]
+    assert {"waiting", "ended"} < set(states), states
+    assert {"growing", "known"} & set(states), states
+    last = said[-1]
+    graph.call("recorder/stop")
+    graph.wait(lambda: not recorded[-1]["recording"], "the end of the recording")
+    assert recorded[-1]["lost"] == 0
+    model = identification_of_bags(tmp_path / "bag").result.model
+    assert len(last.modes) == model.n_modes
+    for mode, omega_hz, sd in zip(last.modes, model.frequencies_hz, model.natural_frequency_sd, strict=True):
+        # The bag goes on for a moment. What that moves an efficient estimate by has the
+        # variance by which its own has fallen.
+        moved = max(mode.frequency_sd_hz**2 - (sd / 6.2832) ** 2, 0.0) ** 0.5
+        assert abs(mode.frequency_hz - omega_hz) < 4.0 * moved + 0.1 * sd / 6.2832
+    for node in nodes:
+        node.send_signal(signal.SIGINT)
+    assert [node.wait(20.0) for node in nodes] == [0] * len(nodes), nodes[-1].output()
+    assert "Traceback" not in nodes[-1].output()
+
+
+def test_without_a_rig_it_says_what_it_waits_for_and_leaves_no_process(executables, graph) -> None:
+    said = listen(graph)
+    node = executables.start("live_identifier")
+    graph.wait(lambda: any("Nothing on hub/measured" in own.sentence for own in said), "what is missing")
+    children = Path(f"/proc/{node.process.pid}/task/{node.process.pid}/children").read_text().split()
+    nice = [os.getpriority(os.PRIO_PROCESS, int(pid)) for pid in children]
+    assert max(nice) == os.getpriority(os.PRIO_PROCESS, node.process.pid) + 10
+    node.send_signal(signal.SIGINT)
+    assert node.wait(20.0) == 0, node.output()
+    # Python's own tracker of shared things ends a moment after those who shared them.
+    graph.wait(lambda: not [pid for pid in children if Path(f"/proc/{pid}/exe").exists()], "the end of all")
+    graph.wait(lambda: "The node has ended" in said[-1].sentence, "the last word")
+    assert "Traceback" not in node.output()
+
+
+def test_aims_that_are_none_end_the_node_with_one_line(executables) -> None:
+    node = executables.run("live_identifier", "--ros-args", "-p", "live.aims:=fast", timeout_s=60.0)
+    assert node.process.returncode == 2
+    assert "expected f1:0.01%" in node.output()
+    assert "Traceback" not in node.output()
