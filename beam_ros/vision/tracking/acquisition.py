@@ -88,15 +88,15 @@ class Acquisition:
         """
         self._frame, self._elapsed_ns, self._shear_of_speed = frame, elapsed_ns, shear_of_speed
         missing = [k for k, marker in enumerate(self._markers) if not marker.is_followed]
-        background, extreme = self._meter.levels(image)
-        contrast = abs(extreme - background)
-        if contrast < self._parameters.min_contrast_grey:
-            return dict.fromkeys(missing, "no_contrast")
         found: list[Candidate] = []
         others: list[tuple[float, float]] = []
         self._rings = []
-        for top, bottom in self._bands(missing, image.shape[0]):
+        stands_out = [
             self._look(image, top, bottom, found, others)
+            for top, bottom in self._bands(missing, image.shape[0])
+        ]
+        if not any(stands_out):
+            return dict.fromkeys(missing, "no_contrast")
         if found:
             n_mosaics = sum(self._meter.is_mosaic(image, *candidate) for candidate in found)
             self.shows_mosaic = 2 * n_mosaics > len(found)
@@ -141,15 +141,19 @@ class Acquisition:
         bottom: int,
         found: list[Candidate],
         others: list[tuple[float, float]],
-    ) -> None:
-        """Sort what stands out in a part of the image, by its own light, into markers and other things."""
-        band = image[top:bottom]
-        background, extreme = self._meter.levels(band)
-        contrast = abs(extreme - background)
+    ) -> bool:
+        """Sort what stands out in a part of the image, by its own light, into markers and other things.
+
+        Returns
+        -------
+        bool -- False: nothing does
+        """
+        relief = self._meter.relief(image[top:bottom])
+        contrast = relief.most
         if contrast < self._parameters.min_contrast_grey:
-            return
+            return False
         for fraction in _THRESHOLDS:
-            for u, y, is_crowded in self._meter.centres(band, background, fraction * contrast):
+            for u, y, background, is_crowded in self._meter.centres(relief, fraction * contrast):
                 v = top + y
                 candidate = self._meter.candidate(image, u, v, background, is_narrow=is_crowded)
                 if candidate is None:
@@ -164,6 +168,7 @@ class Acquisition:
                 elif away > self._meter.radius / 2:
                     # No room for two discs: one, and something that touches it.
                     others.append(candidate[0][:2])
+        return True
 
     def _in_order(
         self, missing: list[int], found: list[Candidate], others: list[tuple[float, float]]

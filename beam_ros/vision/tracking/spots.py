@@ -163,6 +163,40 @@ class Sides(NamedTuple):
     variance: float
 
 
+class Relief(NamedTuple):
+    """What stands out of its neighbourhood in a part of an image.
+
+    Attributes
+    ----------
+    height : ndarray, shape (height, width) -- by how much every pixel does, towards the markers' light [grey levels]
+    ground : ndarray, shape (height, width) -- what it stands out of [grey levels]
+    """
+
+    height: ImageArray
+    ground: ImageArray
+
+    @property
+    def most(self) -> float:
+        """The most by which anything stands out [grey levels]."""
+        return cv2.minMaxLoc(self.height)[1]
+
+
+class Blob(NamedTuple):
+    """Where something of about a marker's size stands out.
+
+    Attributes
+    ----------
+    u, v : float -- middle of its bounding box [px]
+    ground : float -- what it stands out of [grey levels]
+    is_crowded : bool -- another spot reaches into its surroundings
+    """
+
+    u: float
+    v: float
+    ground: float
+    is_crowded: bool
+
+
 Bounds = tuple[float, float]
 
 
@@ -270,6 +304,8 @@ class SpotMeter:
         self.half = math.ceil(self.radius + parameters.max_smear_px / 2 + _CLEAR_PX)
         self.narrow_half = math.ceil(self.radius + _CLEAR_PX)
         self.smear_variance = parameters.max_smear_px**2 / 12
+        self._tallest = (1 + parameters.diameter_tolerance) * parameters.marker_diameter_px + 2
+        self._column = np.ones((2 * math.ceil(self._tallest / 2) + 1, 1), np.uint8)
         self._is_dark = parameters.polarity == "dark"
         self._least_area = 0.25 * math.pi * self.radius**2
         self._compiled = compiled_spot_numbers()
@@ -332,9 +368,9 @@ class SpotMeter:
         parameters = self.parameters
         reach, across = round(parameters.max_gate_px), round(parameters.row_gate_px)
         top, left = max(0, round(v) - across), max(0, round(u) - reach)
-        band = image[top : round(v) + across + 1, left : round(u) + reach + 1]
-        background, extreme = self.levels(band)
-        return abs(extreme - background) < (1.0 - parameters.brightness_tolerance) * contrast
+        top, bottom = max(0, top - self.half), round(v) + across + self.half + 1
+        relief = self.relief(image[top:bottom, left : round(u) + reach + 1])
+        return relief.most < (1.0 - parameters.brightness_tolerance) * contrast
 
     def is_clipped(self, image: ImageArray, u: float, v: float) -> bool:
         """True when the pixels about a place are all of the one grey level that no pixel of the picture exceeds."""
@@ -655,74 +691,82 @@ class SpotMeter:
 
     # -- whole images --------------------------------------------------------------------------------------
 
-    def centres(
-        self, region: ImageArray, background: float, height: float
-    ) -> list[tuple[float, float, bool]]:
+    def relief(self, image: ImageArray) -> Relief:
+        """Look at what stands out of its own neighbourhood, lone pixels aside.
+
+        Notes
+        -----
+        Of a marker the highest column is known. What is longer than that along v is ground: a label, a strip, a wall,
+        a step of the light. That is what a closing (of dark markers; an opening of bright ones) with a line of this
+        length leaves of the image.
+        """
+        even = cv2.blur(image, (3, 3))
+        mode = cv2.MORPH_CLOSE if self._is_dark else cv2.MORPH_OPEN
+        ground: ImageArray = cv2.morphologyEx(even, mode, self._column)
+        return Relief(cv2.absdiff(ground, even), ground)
+
+    def centres(self, relief: Relief, height: float) -> list[Blob]:
         """Find spots of about a marker's size by threshold and contours.
 
         Parameters
         ----------
-        region : ndarray, shape (height, width)
-        background : float -- [grey levels]
-        height : float -- distance of the threshold from the background [grey levels]
+        relief : Relief -- of a part of an image
+        height : float -- by how much they stand out of their ground [grey levels]
 
         Returns
         -------
-        list of (float, float, bool) -- centres of their bounding boxes [px of the region], and whether
-            another spot reaches into the surroundings of this one
+        list of Blob -- [px of the part]
         """
-        mode = cv2.THRESH_BINARY_INV if self._is_dark else cv2.THRESH_BINARY
-        _, mask = cv2.threshold(region, self._threshold(background, height), 255, mode)
+        _, mask = cv2.threshold(relief.height, math.floor(height), 255, cv2.THRESH_BINARY)
         if mask.dtype != np.uint8:
             mask = mask.astype(np.uint8)
         contours = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[-2]
         parameters = self.parameters
-        diameter = parameters.marker_diameter_px
-        smallest = (1 - parameters.diameter_tolerance) * diameter * min(parameters.aspect, 1.0) - 2
-        tallest = (1 + parameters.diameter_tolerance) * diameter + 2
-        widest = 2 * tallest + parameters.max_smear_px  # two that touch are one object
+        smallest = (1 - parameters.diameter_tolerance) * parameters.marker_diameter_px * min(
+            parameters.aspect, 1.0
+        ) - 2
+        widest = 2 * self._tallest + parameters.max_smear_px  # two that touch are one object
         boxes = [cv2.boundingRect(contour) for contour in contours]
         boxes = [(x + (w - 1) / 2, y + (h - 1) / 2, w, h) for x, y, w, h in boxes if w >= 3 and h >= 3]
-        near = self.half + APART_PX
         return [
-            (
-                u,
-                v,
-                any(
-                    (u, v) != (other_u, other_v)
-                    and abs(u - other_u) < near + other_w / 2
-                    and abs(v - other_v) < near + other_h / 2
-                    for other_u, other_v, other_w, other_h in boxes
-                ),
-            )
+            Blob(u, v, float(relief.ground[round(v), round(u)]), self._is_crowded(relief, u, v, boxes))
             for u, v, w, h in boxes
-            if smallest <= w <= widest and smallest <= h <= tallest
+            if smallest <= w <= widest and smallest <= h <= self._tallest
         ]
 
-    def _threshold(self, background: float, height: float) -> int:
-        """Return the whole grey level that a spot so far from the background passes."""
-        return math.floor(background - height if self._is_dark else background + height)
+    def _is_crowded(
+        self, relief: Relief, u: float, v: float, boxes: list[tuple[float, float, int, int]]
+    ) -> bool:
+        """True when another spot, by its box, or another ground reaches into a spot's surroundings."""
+        near = self.half + APART_PX
+        if any(
+            (u, v) != (other_u, other_v)
+            and abs(u - other_u) < near + other_w / 2
+            and abs(v - other_v) < near + other_h / 2
+            for other_u, other_v, other_w, other_h in boxes
+        ):
+            return True
+        return self.is_beside_other_ground(relief, float(relief.height[round(v), round(u)]), u, v)
 
-    def is_alone(self, region: ImageArray, background: float, height: float, u: float) -> bool:
-        """True when a region as of ``centres`` shows no spot but within a marker's radius of a column.
+    def is_beside_other_ground(self, relief: Relief, contrast: float, u: float, v: float) -> bool:
+        """True when a ground that counts beside a marker of such a contrast reaches into the region of a spot."""
+        left, top, reach = max(0, round(u) - self.half), max(0, round(v) - self.half), self.half + 1
+        lowest, highest, _, _ = cv2.minMaxLoc(relief.ground[top : round(v) + reach, left : round(u) + reach])
+        own = float(relief.ground[round(v), round(u)])
+        other = own - lowest if self._is_dark else highest - own
+        return other > max(_EVEN * contrast, self.parameters.min_contrast_grey)
+
+    def is_alone(self, relief: Relief, height: float, u: float) -> bool:
+        """True when a part as of ``centres`` shows no spot but within a marker's radius of a column.
 
         Where no pixel a radius and more away passes the threshold, what passes it, three pixels wide at least, has
         its middle within the radius.
         """
-        threshold = self._threshold(background, height)
         first, last = math.floor(u - self.radius), math.ceil(u + self.radius)
-        for beside in (region[:, : max(first, 0)], region[:, last + 1 :]):
-            if beside.size:
-                lowest, highest, _, _ = cv2.minMaxLoc(beside)
-                if lowest <= threshold if self._is_dark else highest > threshold:
-                    return False
+        for beside in (relief.height[:, : max(first, 0)], relief.height[:, last + 1 :]):
+            if beside.size and cv2.minMaxLoc(beside)[1] > math.floor(height):
+                return False
         return True
-
-    def levels(self, image: ImageArray) -> tuple[float, float]:
-        """Background of a whole image and the extreme of the markers' polarity, lone pixels aside."""
-        background = float(np.median(image[::8, ::8]))
-        lowest, highest, _, _ = cv2.minMaxLoc(cv2.blur(image, (3, 3)))
-        return background, float(lowest if self._is_dark else highest)
 
     def candidate(
         self,

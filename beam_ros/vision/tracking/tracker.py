@@ -320,8 +320,7 @@ class MarkerTracker:
 
     def _contrast(self, image: ImageArray) -> float:
         """Contrast of what stands out most in a picture; 0 where that is less than a marker has [grey levels]."""
-        background, extreme = self._meter.levels(image)
-        contrast = abs(extreme - background)
+        contrast = self._meter.relief(image).most
         return contrast if contrast >= self.parameters.min_contrast_grey else 0.0
 
     def _stamp(self, stamp_ns: int, row: float) -> int:
@@ -355,10 +354,11 @@ class MarkerTracker:
     def _expected(self, marker: MarkerState) -> tuple[float, float, Light, bool]:
         """Where and in which light a marker should be, and whether another spot is near."""
         assert marker.light is not None
-        predicted, is_crowded = marker.predicted, False
+        assert marker.appearance is not None
+        predicted, is_crowded = marker.predicted, marker.appearance.is_bounded
         if marker.rivals:
             near = self._meter.half + self._meter.radius + APART_PX
-            is_crowded = any(abs(at - predicted) < near for at in self._beside(marker))
+            is_crowded |= any(abs(at - predicted) < near for at in self._beside(marker))
         return predicted, marker.v, marker.light, is_crowded
 
     def _compare(self, image: ImageArray, marker: MarkerState, spot: Spot, predicted: float) -> Reason:
@@ -407,6 +407,7 @@ class MarkerTracker:
         is_accompanied = bool(marker.rivals) and bool(recent(marker.rivals, self._frame))
         if is_due or is_fresh or is_new or is_accompanied:
             row = self._recovery.in_row(image, k, own=spot.u)
+            appearance.is_bounded = row.is_bounded
             if is_new and self._has_company(marker, row):
                 marker.forget()
                 marker.rivals = [

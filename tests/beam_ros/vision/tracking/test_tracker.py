@@ -14,6 +14,7 @@ from beam_ros.vision.rendering.disturbances import Disturbances, Glare, Occluder
 from beam_ros.vision.rendering.frames import SceneRenderer
 from beam_ros.vision.timing import FrameTiming
 from beam_ros.vision.tracking.tracker import MarkerTracker
+from benchmarks import vision_guard
 from benchmarks.vision_scenes import Verdict, judge
 from tests.beam_ros.vision.packaged_rig import packaged_camera, packaged_tracker
 
@@ -858,6 +859,22 @@ def test_scenes_of_the_benchmark_that_once_were_wrong_or_waited(kind, seed, most
     judge("suite", kind, seed, verdict)
     assert verdict.wrong == 0
     assert max(verdict.waits + verdict.ambiguous, default=0) <= most
+
+
+@pytest.mark.first_case
+@pytest.mark.parametrize(
+    ("kind", "seed", "least"),
+    [
+        ("label", 3, 1.0),  # 30 px wide: the ground ends where a smear might reach
+        ("label", 4, 1.0),
+        ("label", 13, 1.0),  # 23 px wide
+        ("bright_wall", 0, 1.0),
+    ],
+)
+def test_films_of_the_guard_are_seen_as_by_a_person(kind, seed, least):
+    found = vision_guard.row(kind, [seed], with_peer=False)
+    assert found["wrong"] == 0
+    assert found["valid"] >= least
 
 
 @pytest.mark.slow
