@@ -320,7 +320,7 @@ def _with_repeated_images(
         reasons=reasons,
     )
     n_known, n_more, n_frames = np.count_nonzero(known), np.count_nonzero(found.is_copy & ~known), len(known)
-    said = [f"{n_known} of {n_frames} frames are the one before, bit for bit"] if n_known else []
+    said = [f"{n_known} of {n_frames} frames are the one before, noise aside"] if n_known else []
     said += (
         [f"{n_more} of {n_frames} frames are nearly the one before, as a codec gives it back"]
         if n_more

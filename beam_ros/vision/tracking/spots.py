@@ -69,7 +69,7 @@ Reason = Literal[
 
 not_acquired: the marker has not been found yet; no_contrast: nothing in the image stands out; mosaic: the
 pixels differ as behind the filters of a colour sensor; ring: what is like a marker has a hole; repeated: the
-image is the one before, bit for bit, though the markers moved; hidden: no spot where the marker should be;
+image is the one before, noise aside, though the markers moved; hidden: no spot where the marker should be;
 ambiguous: it cannot be distinguished from another spot; area, shape, asymmetry, brightness: the spot differs from
 the marker as acquired (covered, merged with another spot, glare, out of focus); smear: longer than its speed
 explains, as of a second image over it; jump: too far from the prediction or from the marker's row; border:

@@ -24,7 +24,7 @@ from beam_ros.vision.errors import ImageFormatError, VisionParameterError
 from beam_ros.vision.fields import InterlacedFields
 from beam_ros.vision.noise_reduction import STILL_PX, NoiseReduction
 from beam_ros.vision.parameters import TrackerParameters
-from beam_ros.vision.repeats import RepeatedImages
+from beam_ros.vision.repeats import LATELY, RepeatedImages, is_shown_again
 from beam_ros.vision.timing import FrameTiming
 from beam_ros.vision.tracking.acquisition import Acquisition
 from beam_ros.vision.tracking.appearance import Appearance, Light
@@ -166,6 +166,7 @@ class MarkerTracker:
             self._row_delay_s = camera.readout_s / (camera.height - 1)
         self._frame = self._look_until = self._stamp_ns = 0
         self._since_s, self._shear_of_speed = self._period_s, 0.0
+        self._n_repeated = 0
         self.reset()
 
     # -- state ---------------------------------------------------------------------------------------------
@@ -182,7 +183,7 @@ class MarkerTracker:
         self._fields = InterlacedFields()
         self._reduction = NoiseReduction()
         self._shape = None
-        self._frame, self._look_until = 0, LOOKS
+        self._frame, self._look_until, self._n_repeated = 0, LOOKS, 0
 
     def pass_over(self, n_frames: int) -> None:
         """Take note that so many frames are missing: the markers may be elsewhere, and are what they were."""
@@ -291,6 +292,14 @@ class MarkerTracker:
         if lost:
             self._look_until = self._frame + LOOKS
             self._recovery.find(image, self._frame, lost, spots, reasons)
+        elif self._n_repeated < LATELY and is_shown_again(
+            [(list(self._markers[k].way), spots[k].u, self._markers[k].sigma) for k in places], self._frame
+        ):
+            # The markers are where they are, which this image does not tell: the next one does.
+            self._n_repeated += 1
+            nothing = [self._nothing(marker, "repeated", stamp_ns, math.nan) for marker in self._markers]
+            return FrameResult(stamp_ns, tuple(nothing), ())
+        self._n_repeated = 0
         found = [self._found(image, k, spots.get(k), reasons[k], stamp_ns) for k in range(self.n_markers)]
         sights = [sight for sight in found if isinstance(sight, Sight)]
         pulls: Iterator[Pull] = repeat(NO_PULL)
@@ -332,6 +341,10 @@ class MarkerTracker:
         """Count a lost frame."""
         marker.lost_frames += 1
         marker.shown = math.nan
+        return self._nothing(marker, reason, stamp_ns, area)
+
+    def _nothing(self, marker: MarkerState, reason: Reason, stamp_ns: int, area: float) -> MarkerMeasurement:
+        """Measurement of a marker that is not valid."""
         row = marker.v if math.isfinite(marker.v) or marker.known_row is None else marker.known_row
         contrast = math.nan if marker.light is None else marker.light.contrast
         return MarkerMeasurement(*_NOWHERE, False, reason, self._stamp(stamp_ns, row), contrast, area)

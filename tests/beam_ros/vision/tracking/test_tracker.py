@@ -869,6 +869,9 @@ def test_scenes_of_the_benchmark_that_once_were_wrong_or_waited(kind, seed, most
         ("label", 4, 1.0),
         ("label", 13, 1.0),  # 23 px wide
         ("bright_wall", 0, 1.0),
+        ("noisy_repeats", 2, 1.0),
+        ("noisy_repeats", 3, 1.0),
+        ("plain", 1, 1.0),
     ],
 )
 def test_films_of_the_guard_are_seen_as_by_a_person(kind, seed, least):
