@@ -333,7 +333,7 @@ def bright_wall(rng: np.random.Generator) -> Film:
 
 def two_rigs(rng: np.random.Generator) -> Film:
     """A second beam with dots of its own beside the first, kept out by ``tracker.region``."""
-    film = plain(rng, amplitude=4.0, settings={"region": (80.0, 240.0, 0.0, float(SIZE[1]))})
+    film = plain(rng, amplitude=4.0, settings={"region_px": (80.0, 240.0, 0.0, float(SIZE[1]))})
     other = swing(rng, 4.0)
     for k in range(len(HEIGHTS)):
         film.below.append(Thing(film.shape, film.reach, film.grey, other[:, :, k] + [110.0, 0.0]))
@@ -342,7 +342,7 @@ def two_rigs(rng: np.random.Generator) -> Film:
 
 def clutter(rng: np.random.Generator) -> Film:
     """Twenty-five spots of the markers' kind at rest, kept out by ``tracker.region``."""
-    film = plain(rng, amplitude=4.0, settings={"region": (110.0, 210.0, 0.0, float(SIZE[1]))})
+    film = plain(rng, amplitude=4.0, settings={"region_px": (110.0, 210.0, 0.0, float(SIZE[1]))})
     for _ in range(25):
         u = rng.uniform(20, 95) if rng.random() < 0.5 else rng.uniform(225, 300)
         place = still(rng, u, rng.uniform(20, SIZE[1] - 20))

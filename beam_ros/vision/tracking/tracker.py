@@ -174,7 +174,12 @@ class MarkerTracker:
     def reset(self) -> None:
         """Forget every marker; the next frame starts with acquisition."""
         rows = self.parameters.expected_rows_px
-        self._markers = [MarkerState(None if rows is None else rows[k]) for k in range(self.n_markers)]
+        region = self.parameters.region_px or (0.0, math.inf, 0.0, math.inf)
+        self._left, self._top = math.ceil(region[0]), math.ceil(region[2])
+        self._size = region[1] - self._left, region[3] - self._top
+        self._markers = [
+            MarkerState(None if rows is None else rows[k] - self._top) for k in range(self.n_markers)
+        ]
         self._acquisition = Acquisition(self._meter, self._markers, self._exposure_s)
         self._recovery = Recovery(self._meter, self._markers)
         self._seconds = SecondImages(self._exposed_s, self._row_delay_s)
@@ -250,7 +255,7 @@ class MarkerTracker:
 
         Raises
         ------
-        ImageFormatError -- the image is not a two-dimensional uint8 or uint16 array
+        ImageFormatError -- the image is not a two-dimensional uint8 or uint16 array, or has no room for the region
         """
         if image.ndim != 2 or (image.dtype != np.uint8 and image.dtype != np.uint16):
             raise ImageFormatError(
@@ -261,6 +266,36 @@ class MarkerTracker:
             if self._shape is not None:
                 self.reset()
             self._shape = (int(image.shape[0]), int(image.shape[1]))
+        whole = image
+        image, foretold = self._within(image, foretold)
+        result = self._process(image, stamp_ns, foretold)
+        if image is whole:
+            return result
+        # Inside, all places count from the corner of the region.
+        markers = [m._replace(u_px=m.u_px + self._left, v_px=m.v_px + self._top) for m in result.markers]
+        return result._replace(markers=tuple(markers))
+
+    def _within(
+        self, image: ImageArray, foretold: Sequence[Foretold]
+    ) -> tuple[ImageArray, Sequence[Foretold]]:
+        """Cut an image to the region in which markers are looked for, with places counted from there."""
+        (height, width), (columns, rows) = image.shape, self._size
+        if self._left == self._top == 0 and columns >= width - 1 and rows >= height - 1:
+            return image, foretold
+        right, bottom = (
+            math.floor(min(last, size))
+            for last, size in ((self._left + columns + 1, width), (self._top + rows + 1, height))
+        )
+        part = image[self._top : bottom, self._left : right]
+        if min(part.shape) < 2 * self.parameters.marker_diameter_px:
+            raise ImageFormatError(
+                f"image is {width} x {height}, of which tracker.region {self.parameters.region_px} leaves "
+                f"{part.shape[1]} x {part.shape[0]}; expected room for the markers: correct tracker.region"
+            )
+        return part, [place._replace(u_px=place.u_px - self._left) for place in foretold]
+
+    def _process(self, image: ImageArray, stamp_ns: int, foretold: Sequence[Foretold]) -> FrameResult:
+        """Measure every marker in the region of a frame."""
         self._frame += 1
         if self._repeats.is_repeated(image) and any(marker.is_moving for marker in self._markers):
             self._recovery.note_losses(self._frame)
@@ -335,7 +370,7 @@ class MarkerTracker:
     def _stamp(self, stamp_ns: int, row: float) -> int:
         if self.timing is None or not math.isfinite(row):
             return stamp_ns
-        return self.timing.row_middle(stamp_ns, row)
+        return self.timing.row_middle(stamp_ns, row + self._top)
 
     def _invalid(self, marker: MarkerState, reason: Reason, stamp_ns: int, area: float) -> MarkerMeasurement:
         """Count a lost frame."""

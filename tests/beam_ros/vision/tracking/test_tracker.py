@@ -667,6 +667,29 @@ def test_an_image_that_comes_again_tells_nothing_of_markers_that_move(times):
             assert {marker.reason for marker in result.markers} == {"repeated"}
 
 
+def test_a_region_changes_no_place_and_no_time():
+    camera = packaged_camera(noise_grey=2.0, readout_s=0.008)
+    renderer, timing, rng = SceneRenderer(camera, HEIGHTS), FrameTiming(camera), np.random.default_rng(3)
+    whole, part = (
+        MarkerTracker(packaged_tracker(camera, HEIGHTS, region_px=region), 3, timing)
+        for region in (None, (250.0, 390.5, 10.0, 479.0))
+    )
+    for k in range(20):
+        image = renderer.render(0.002 * np.sin(0.3 * k + np.arange(3)), rng)
+        one, other = (tracker.process(image, 10_000_000 * k).markers for tracker in (whole, part))
+        for a, b in zip(one, other, strict=True):
+            assert (b.u_px, b.v_px) == pytest.approx((a.u_px, a.v_px), abs=2e-3)
+            assert abs(b.stamp_ns - a.stamp_ns) < 100
+
+
+def test_an_image_without_room_for_the_region_says_so():
+    tracker = MarkerTracker(packaged_tracker(region_px=(250.0, 390.0, 0.0, 479.0)), 3)
+    with pytest.raises(
+        ImageFormatError, match=r"tracker\.region .* leaves 6 x 480; .* correct tracker\.region"
+    ):
+        tracker.process(np.zeros((480, 256), np.uint8), 0)
+
+
 @pytest.mark.parametrize("noise", [0.0, 2.0])
 def test_a_still_image_may_come_for_ever(noise):
     camera = packaged_camera(noise_grey=noise)
@@ -872,6 +895,8 @@ def test_scenes_of_the_benchmark_that_once_were_wrong_or_waited(kind, seed, most
         ("noisy_repeats", 2, 1.0),
         ("noisy_repeats", 3, 1.0),
         ("plain", 1, 1.0),
+        ("two_rigs", 0, 1.0),
+        ("clutter", 1, 1.0),
     ],
 )
 def test_films_of_the_guard_are_seen_as_by_a_person(kind, seed, least):
