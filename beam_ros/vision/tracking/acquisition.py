@@ -117,6 +117,23 @@ class Acquisition:
             reasons = {k: "ring" if reason == "not_acquired" else reason for k, reason in reasons.items()}
         return {**reasons, **dict.fromkeys(unequal, "area")}
 
+    def seen(self, image: ImageArray) -> list[tuple[float, float, str]]:
+        """Columns, rows and names of what stands out where markers are looked for [px]: for people."""
+        found: list[Candidate] = []
+        others: list[tuple[float, float]] = []
+        missing = [k for k, marker in enumerate(self._markers) if not marker.is_followed]
+        for top, bottom in self._bands(missing, image.shape[0]):
+            self._look(image, top, bottom, found, others)
+        discs = [(spot.u, spot.v) for spot, _ in found]
+        alone = [
+            place
+            for i, place in enumerate(others)
+            if all(math.dist(place, other) > self._meter.radius for other in [*discs, *others[:i]])
+        ]
+        return [(*place, "a disc") for place in discs] + [
+            (*place, "no disc of a marker's size") for place in alone
+        ]
+
     def _sharpened(self) -> float:
         """By how much the second moments of most spots are less than their areas allow, where cameras sharpen [px^2].
 

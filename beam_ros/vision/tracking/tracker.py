@@ -106,6 +106,22 @@ class FrameResult(NamedTuple):
         return all(marker.is_valid for marker in self.markers)
 
 
+class SeenSpot(NamedTuple):
+    """Something in a frame that stands out of its neighbourhood by about a marker's size.
+
+    Attributes
+    ----------
+    u_px, v_px : float -- where it is [px]
+    marker : int or None -- number of the marker in whose row it lies; None where no rows are known
+    word : str -- "like it", "a disc" where the marker is not known yet, or why it is not taken for the marker
+    """
+
+    u_px: float
+    v_px: float
+    marker: int | None
+    word: str
+
+
 class Sight(NamedTuple):
     """A marker that was found in a frame, before the frame as a whole is judged.
 
@@ -361,6 +377,25 @@ class MarkerTracker:
         self._recovery.before = image
         told = [k for k, marker in enumerate(self._markers) if marker.is_foretold] if foretold else ()
         return FrameResult(stamp_ns, tuple(results), tuple(told))
+
+    def explained(self, image: ImageArray) -> list[SeenSpot]:
+        """Say what stands out in the markers' rows of the frame that was processed last, and as what it counts.
+
+        Parameters
+        ----------
+        image : ndarray, shape (height, width), uint8 or uint16 -- that frame
+        """
+        image, _ = self._within(image, ())
+        spots = [
+            SeenSpot(u, v, None, word)
+            for u, v, word in ([] if self.is_acquired else self._acquisition.seen(image))
+        ]
+        for k, marker in enumerate(self._markers):
+            if marker.is_followed:
+                row = self._recovery.in_row(image, k, is_wide=True)
+                spots += [SeenSpot(spot.u, spot.v, k, "like it") for spot, _ in row.alike]
+                spots += [SeenSpot(u, marker.v, k, why) for u, why in row.others]
+        return [spot._replace(u_px=spot.u_px + self._left, v_px=spot.v_px + self._top) for spot in spots]
 
     def _contrast(self, image: ImageArray) -> float:
         """Contrast of what stands out most in a picture; 0 where that is less than a marker has [grey levels]."""
