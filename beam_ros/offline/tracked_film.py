@@ -156,6 +156,7 @@ def track_video(
         remedies = {
             "mosaic": f"grey or colour images, no raw mosaic of a colour sensor: {UNDO}",
             "ring": FULL_DISCS,
+            "out_of_round": "; ".join(note for note in notes if "tracker.aspect" in note),
         }
         elsewhere = (
             "it where the rig file puts it: check markers.heights, markers.diameter, camera.origin_u and "

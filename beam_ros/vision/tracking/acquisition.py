@@ -22,7 +22,7 @@ from beam_ros.vision.tracking.marker_state import (
     shared,
 )
 from beam_ros.vision.tracking.rivals import Track, associated, present, swinging
-from beam_ros.vision.tracking.spot_search import one_disc
+from beam_ros.vision.tracking.spot_search import OneDisc, one_disc
 from beam_ros.vision.tracking.spots import Reason, Spot, SpotMeter
 
 _THRESHOLDS = (0.5, 0.3, 0.7)
@@ -56,6 +56,7 @@ class Acquisition:
     ----------
     shows_mosaic : bool -- most of what last was like a marker lies in a mosaic of colours
     shows_rings : bool -- most of it has a hole
+    aspect : float or None -- width over height of most of it, which is not what was expected; None where it is
     """
 
     def __init__(self, meter: SpotMeter, markers: list[MarkerState], exposure_s: float) -> None:
@@ -70,6 +71,8 @@ class Acquisition:
         self._narrower = 0.0
         self._rings: list[tuple[float, float]] = []
         self.shows_mosaic = self.shows_rings = False
+        self.aspect: float | None = None
+        self._aspects: list[float] = []
 
     def acquire(
         self, image: ImageArray, frame: int, elapsed_ns: int, shear_of_speed: float
@@ -90,7 +93,7 @@ class Acquisition:
         missing = [k for k, marker in enumerate(self._markers) if not marker.is_followed]
         found: list[Candidate] = []
         others: list[tuple[float, float]] = []
-        self._rings = []
+        self._rings, self._aspects = [], []
         stands_out = [
             self._look(image, top, bottom, found, others)
             for top, bottom in self._bands(missing, image.shape[0])
@@ -108,6 +111,7 @@ class Acquisition:
         self.shows_rings = len(self._rings) > len(found)
         has_rows = any(self._markers[k].known_row is not None for k in missing)
         chosen, reasons = (self._in_rows if has_rows else self._in_order)(missing, found, others)
+        reasons = self._out_of_round(reasons)
         unequal = self._unequal(chosen)
         for k in chosen.keys() - unequal:
             spot, light = chosen[k]
@@ -133,6 +137,20 @@ class Acquisition:
         return [(*place, "a disc") for place in discs] + [
             (*place, "no disc of a marker's size") for place in alone
         ]
+
+    def _out_of_round(self, reasons: dict[int, Reason]) -> dict[int, Reason]:
+        """Name what keeps markers that are not as wide as high, if most of them are so alike, as of a pitched camera.
+
+        A second image over the picture looks alike, too: a person has to say that the dots look like that.
+        """
+        if 2 * len(self._aspects) <= len(self._markers):
+            return reasons
+        away = [math.log(aspect / self._parameters.aspect) for aspect in self._aspects]
+        if shared(away, len(away)) == 0.0 and len(away) > 1:
+            return reasons
+        self.aspect = median(self._aspects)
+        odd: tuple[Reason, ...] = "smear", "shape"
+        return {k: "out_of_round" if reason in odd else reason for k, reason in reasons.items()}
 
     def _sharpened(self) -> float:
         """By how much the second moments of most spots are less than their areas allow, where cameras sharpen [px^2].
@@ -285,6 +303,8 @@ class Acquisition:
         beside = [u for u, v in others if math.dist((u, v), spot[:2]) > SAME_PLACE_PX]
         things = beside if disc.reason == "ok" else [*beside, spot.u]
         marker.note_clutter(things, self._frame)
+        if before is not None and before[0] == self._frame - 1:
+            self._note_aspect(marker, spot, disc, before[2])
         if disc.reason != "ok":
             return disc.reason
         # Anything else may be the marker, smeared, joined with a twin or covered in part.
@@ -298,9 +318,7 @@ class Acquisition:
             return "ok"
         if before is None or before[0] != self._frame - 1:
             return "smear"
-        # Mean speed over the two exposures' middles; the exposure is a part of the time in between.
-        share = min(1.0, self._exposure_s * 1e9 / self._elapsed_ns) if self._elapsed_ns > 0 else 1.0
-        explained = (share * (spot.u - before[1])) ** 2 / 12
+        explained = self._explained(marker)
         lengths = math.sqrt(max(disc.excess, 0.0)), math.sqrt(max(before[2], 0.0))
         slack = disc.tolerance + _SPEED_SLACK * explained + (lengths[0] - lengths[1]) ** 2 / 4
         if (disc.excess + before[2]) / 2 - explained > slack:
@@ -309,6 +327,28 @@ class Acquisition:
         half = self._shear_of_speed * (spot.u - before[1]) * self._bare[spot][2].variance_v / 2
         slack = disc.tolerance + (1 + 2 * _SPEED_SLACK) * abs(half) + abs(disc.covariance - before[3]) / 4
         return "ok" if abs((disc.covariance + before[3]) / 2 - half) <= slack else "shape"
+
+    def _explained(self, marker: MarkerState) -> float:
+        """Second moment along u that a marker's mean speed since the frame before explains [px^2]."""
+        # The speed is that of the two exposures' middles; the exposure is a part of the time in between.
+        share = min(1.0, self._exposure_s * 1e9 / self._elapsed_ns) if self._elapsed_ns > 0 else 1.0
+        return (share * marker.velocity) ** 2 / 12
+
+    def _note_aspect(self, marker: MarkerState, spot: Spot, disc: OneDisc, excess_before: float) -> None:
+        """Take the aspect of a spot that is out of round by more than its motion explains.
+
+        Notes
+        -----
+        A disc of area S and aspect q has second moments that differ by S (q - 1 / q) / (4 pi). What is beyond that of
+        the expected aspect is the spot's excess.
+        """
+        explained = self._explained(marker)
+        left = (disc.excess + excess_before) / 2 - explained
+        if abs(left) <= disc.tolerance + _SPEED_SLACK * explained:
+            return
+        uniform, aspect = self._bare[spot][2].area / (4 * math.pi), self._parameters.aspect
+        half = (left / uniform + aspect - 1 / aspect) / 2
+        self._aspects.append(half + math.sqrt(half * half + 1.0))
 
     def _unequal(self, chosen: dict[int, Candidate]) -> list[int]:
         """Markers of another size than most of them: a twin that touches, or a part that is hidden."""

@@ -54,6 +54,7 @@ Reason = Literal[
     "no_contrast",
     "mosaic",
     "ring",
+    "out_of_round",
     "repeated",
     "hidden",
     "ambiguous",
@@ -68,7 +69,8 @@ Reason = Literal[
 """Why a measurement is not valid; "ok" where it is.
 
 not_acquired: the marker has not been found yet; no_contrast: nothing in the image stands out; mosaic: the
-pixels differ as behind the filters of a colour sensor; ring: what is like a marker has a hole; repeated: the
+pixels differ as behind the filters of a colour sensor; ring: what is like a marker has a hole; out_of_round:
+most of what is like a marker is wider than high, or the reverse, by more than its motion explains; repeated: the
 image is the one before, noise aside, though the markers moved; hidden: no spot where the marker should be;
 ambiguous: it cannot be distinguished from another spot; area, shape, asymmetry, brightness: the spot differs from
 the marker as acquired (covered, merged with another spot, glare, out of focus); smear: longer than its speed

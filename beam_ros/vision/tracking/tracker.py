@@ -250,6 +250,11 @@ class MarkerTracker:
         return self._acquisition.shows_mosaic
 
     @property
+    def aspect(self) -> float | None:
+        """Width over height of what was not acquired for it; None where that was as expected."""
+        return self._acquisition.aspect
+
+    @property
     def shows_rings(self) -> bool:
         """True where most of what last was like a marker has a hole, and was not acquired."""
         return self._acquisition.shows_rings

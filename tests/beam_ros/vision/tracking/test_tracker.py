@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from itertools import zip_longest
 
@@ -9,6 +10,7 @@ import pytest
 from scipy.special import ndtr
 
 from beam_ros.vision.errors import ImageFormatError, VisionParameterError
+from beam_ros.vision.measurement.measuring_chain import MeasuringChain
 from beam_ros.vision.parameters import CameraParameters
 from beam_ros.vision.rendering.disturbances import Disturbances, Glare, Occluder, SecondSpot
 from beam_ros.vision.rendering.frames import SceneRenderer
@@ -903,6 +905,35 @@ def test_films_of_the_guard_are_seen_as_by_a_person(kind, seed, least):
     found = vision_guard.row(kind, [seed], with_peer=False)
     assert found["wrong"] == 0
     assert found["valid"] >= least
+
+
+@pytest.mark.first_case
+@pytest.mark.parametrize(("kind", "seed"), [("pitched", 1), ("turned", 1), ("pitched", 0), ("turned", 0)])
+def test_dots_that_are_out_of_round_are_named_with_the_key_that_helps(kind, seed):
+    def film() -> vision_guard.Film:
+        return vision_guard.CLASSES[kind](np.random.default_rng(seed))
+
+    def measured(shown: vision_guard.Film) -> tuple[MeasuringChain, list[tuple[str, ...]]]:
+        chain = vision_guard.chain(shown)
+        pictures = zip(range(20), vision_guard.pictures(shown), strict=False)
+        return chain, [
+            chain.measure(10**18 + k * vision_guard.PERIOD_NS, picture).reasons for k, picture in pictures
+        ]
+
+    chain, reasons = measured(film())
+    assert set(reasons[-1]) == {"out_of_round"}
+    told = re.search(r"set tracker\.aspect to (\d\.\d+)", chain.aspect_doubt)
+    assert told is not None
+    # The width of the film's ellipse over its height, from its chords.
+    half_u = film().shape(np.zeros(1))[0][1][0]
+    low = np.linspace(0.0, 7.0, 70001)
+    half_v = low[np.ptp(film().shape(low)[0], axis=0) > 0][-1]
+    assert float(told[1]) == pytest.approx(half_u / half_v, rel=5e-3)
+    better = film()
+    better.settings["aspect"] = float(told[1])
+    chain, reasons = measured(better)
+    assert set(reasons[-1]) == {"ok"}
+    assert chain.aspect_doubt == ""
 
 
 @pytest.mark.slow
