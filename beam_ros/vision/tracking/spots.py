@@ -469,6 +469,8 @@ class SpotMeter:
         DiscFit -- that of ``centre`` where the disc model fails; or a reason as there, or "shape" where the rim is
             disturbed by more than the tolerance of the shape
         """
+        if not appearance.is_disc:
+            return self.centre(image, spot, light, appearance)
         # A smear that the moments do not show beyond their noise, and that of their pixels, the fit itself finds.
         still = max(appearance.variance_u, appearance.variance_v + appearance.excess)
         noise = max(_SMEARED * self._excess_scatter(light, appearance), _SHORT_PX**2 / 12)
@@ -634,7 +636,8 @@ class SpotMeter:
         return smears.looks.at(spot.variance_u - smears.own_u - _SMEARED * smears.scatter)
 
     def begin(self, found: DiscFit, appearance: Appearance) -> None:
-        """Take a marker's own excess and tilt from the first frame."""
+        """Take a marker's own shape from the first frame."""
+        appearance.is_disc = appearance.model.misfit <= self.parameters.shape_tolerance * self.radius
         appearance.excess, appearance.tilt = self._own(appearance, found.excess, found.tilt)
 
     def flatness(self, appearance: Appearance) -> float:
@@ -643,7 +646,9 @@ class SpotMeter:
         return appearance.area / (4 * math.pi) * (aspect - 1 / aspect)
 
     def _own(self, appearance: Appearance, excess: float, tilt: float) -> tuple[float, float]:
-        """Excess and tilt, as far as markers are out of round."""
+        """Excess and tilt, as far as discs are out of round."""
+        if not appearance.is_disc:
+            return excess, tilt
         tolerance, flat = self.parameters.shape_tolerance * appearance.variance_v, self.flatness(appearance)
         return (
             min(max(excess, min(flat, 0.0) - tolerance), max(flat, 0.0) + tolerance),

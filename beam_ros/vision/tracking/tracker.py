@@ -515,6 +515,11 @@ class MarkerTracker:
             return self._invalid(marker, found, stamp_ns, spot.area)
         if appearance.frames == 1:
             meter.begin(found, appearance)
+            if not appearance.is_disc and isinstance(
+                other := meter.centre(image, spot, light, appearance), DiscFit
+            ):
+                found = other
+                meter.begin(found, appearance)
         is_lit = is_due and not is_accompanied
         return Sight(marker, light, appearance, spot, found, is_fresh, is_lit, is_due)
 

@@ -908,6 +908,15 @@ def test_films_of_the_guard_are_seen_as_by_a_person(kind, seed, least):
 
 
 @pytest.mark.first_case
+@pytest.mark.parametrize(("kind", "seed"), [("square", 0), ("crosses", 1), ("square", 3)])
+def test_what_is_no_disc_is_measured_by_its_centre_of_gravity_as_well_as_is_stated(kind, seed):
+    found = vision_guard.row(kind, [seed], with_peer=False)
+    assert (found["valid"], found["wrong"]) == (1.0, 0)
+    # As discs that they are not, four to five times too much was stated.
+    assert 0.6 < found["z"] < 1.3
+
+
+@pytest.mark.first_case
 @pytest.mark.parametrize(("kind", "seed"), [("pitched", 1), ("turned", 1), ("pitched", 0), ("turned", 0)])
 def test_dots_that_are_out_of_round_are_named_with_the_key_that_helps(kind, seed):
     def film() -> vision_guard.Film:
