@@ -88,8 +88,12 @@ def is_shown_again(seen: Iterable[tuple[Sequence[tuple[int, float]], float, floa
         noise = _MOVING * math.sqrt(2.0) * sigma
         if not places or abs(u - places[-1][1]) > noise:
             return False
-        step, doubt = expected_step(places, frame, sigma)
-        n_seen, n_moving = n_seen + 1, n_moving + (abs(step) > doubt)
+        n_seen += 1
+        if any(
+            abs(places[k][1] - places[k - 1][1]) > noise for k in range(-1, max(-LATELY, 1 - len(places)), -1)
+        ):
+            step, doubt = expected_step(places, frame, sigma)
+            n_moving += abs(step) > doubt
     return 2 * n_moving > n_seen
 
 

@@ -284,12 +284,12 @@ class SmearedLooks:
 
     def at(self, excess: float) -> Smeared:
         """Look of the smear that adds so much to the second moment along u [px^2]; the longest one's beyond it."""
+        if excess <= 0.0:
+            return UNSMEARED  # which the table begins with: most markers never need one
         if self._table is None:
             self._table = self._made_table()
         excesses, looks = self._table
         after = bisect_left(excesses, excess)
-        if after == 0:
-            return UNSMEARED
         if after == len(excesses):
             return looks[-1]
         share = (excess - excesses[after - 1]) / (excesses[after] - excesses[after - 1])

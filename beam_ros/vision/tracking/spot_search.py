@@ -29,13 +29,11 @@ class RowSpots(NamedTuple):
     alike : list of (Spot, Light) -- spots with the marker's appearance, each in its own light
     others : list of (float, Reason) -- column of every other spot [px], and why it is not the marker's image
     changed : list of Spot -- those of the others that are as bright as the marker, and of another size or shape
-    is_bounded : bool -- the ground of the spot that is left out ends within its region
     """
 
     alike: list[tuple[Spot, Light]]
     others: list[tuple[float, Reason]]
     changed: list[Spot]
-    is_bounded: bool = False
 
     def nearest(self, u: float) -> Reason:
         """Why the other spot nearest to a column is not the marker's image; "hidden" where there is none."""
@@ -71,19 +69,14 @@ def spots_in_row(
     found = RowSpots([], [], [])
     if bottom <= top:
         return found
-    relief = meter.relief(image[top:bottom])
-    contrasts = [light.contrast]
+    band, contrasts = image[top:bottom], [light.contrast]
+    if not math.isnan(own) and meter.is_alone(band, light, _THRESHOLD * light.contrast, own):
+        return found
+    relief = meter.relief(band)
     if math.isnan(own):
         most = relief.most
         if abs(most / light.contrast - 1) > _OTHER_LIGHT and most >= meter.parameters.min_contrast_grey:
             contrasts.append(most)
-    else:
-        height, within = _THRESHOLD * light.contrast, min(max(own, 0.0), image.shape[1] - 1.0)
-        found = found._replace(
-            is_bounded=meter.is_beside_other_ground(relief, light.contrast, within, row - top)
-        )
-        if meter.is_alone(relief, height, own):
-            return found
     for contrast in contrasts:
         for x, y, background, is_crowded in meter.centres(relief, _THRESHOLD * contrast):
             v = top + y

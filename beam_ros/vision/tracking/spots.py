@@ -753,9 +753,16 @@ class SpotMeter:
             for other_u, other_v, other_w, other_h in boxes
         ):
             return True
-        return self.is_beside_other_ground(relief, float(relief.height[round(v), round(u)]), u, v)
+        return self._is_bounded(relief, float(relief.height[round(v), round(u)]), u, v)
 
-    def is_beside_other_ground(self, relief: Relief, contrast: float, u: float, v: float) -> bool:
+    def is_bounded(self, image: ImageArray, spot: Spot, contrast: float) -> bool:
+        """True when the ground about a spot of some contrast ends within its region."""
+        reach = self.half + self._column.shape[0]
+        left, top = max(round(spot.u) - reach, 0), max(round(spot.v) - reach, 0)
+        near = image[top : round(spot.v) + reach + 1, left : round(spot.u) + reach + 1]
+        return self._is_bounded(self.relief(near), contrast, spot.u - left, spot.v - top)
+
+    def _is_bounded(self, relief: Relief, contrast: float, u: float, v: float) -> bool:
         """True when a ground that counts beside a marker of such a contrast reaches into the region of a spot."""
         left, top, reach = max(0, round(u) - self.half), max(0, round(v) - self.half), self.half + 1
         lowest, highest, _, _ = cv2.minMaxLoc(relief.ground[top : round(v) + reach, left : round(u) + reach])
@@ -763,16 +770,19 @@ class SpotMeter:
         other = own - lowest if self._is_dark else highest - own
         return other > max(_EVEN * contrast, self.parameters.min_contrast_grey)
 
-    def is_alone(self, relief: Relief, height: float, u: float) -> bool:
-        """True when a part as of ``centres`` shows no spot but within a marker's radius of a column.
+    def is_alone(self, region: ImageArray, light: Light, height: float, u: float) -> bool:
+        """True when a region shows nothing so far from the background but within a marker's radius of a column.
 
-        Where no pixel a radius and more away passes the threshold, what passes it, three pixels wide at least, has
-        its middle within the radius.
+        What stands out of its neighbourhood as a marker does is as bright as one: ``centres`` finds nothing there.
+        This takes a tenth of the time.
         """
         first, last = math.floor(u - self.radius), math.ceil(u + self.radius)
-        for beside in (relief.height[:, : max(first, 0)], relief.height[:, last + 1 :]):
-            if beside.size and cv2.minMaxLoc(beside)[1] > math.floor(height):
-                return False
+        threshold = math.floor(light.background - height if self._is_dark else light.background + height)
+        for beside in (region[:, : max(first, 0)], region[:, last + 1 :]):
+            if beside.size:
+                lowest, highest, _, _ = cv2.minMaxLoc(beside)
+                if lowest <= threshold if self._is_dark else highest > threshold:
+                    return False
         return True
 
     def candidate(

@@ -349,7 +349,7 @@ class MarkerTracker:
             self._look_until = self._frame + LOOKS
             self._recovery.find(image, self._frame, lost, spots, reasons)
         elif self._n_repeated < LATELY and is_shown_again(
-            [(list(self._markers[k].way), spots[k].u, self._markers[k].sigma) for k in places], self._frame
+            ((self._markers[k].way, spots[k].u, self._markers[k].sigma) for k in places), self._frame
         ):
             # The markers are where they are, which this image does not tell: the next one does.
             self._n_repeated += 1
@@ -495,7 +495,8 @@ class MarkerTracker:
         is_accompanied = bool(marker.rivals) and bool(recent(marker.rivals, self._frame))
         if is_due or is_fresh or is_new or is_accompanied:
             row = self._recovery.in_row(image, k, own=spot.u)
-            appearance.is_bounded = row.is_bounded
+            if is_fresh or not appearance.is_settled:
+                appearance.is_bounded = meter.is_bounded(image, spot, light.contrast)
             if is_new and self._has_company(marker, row):
                 marker.forget()
                 marker.rivals = [

@@ -924,7 +924,7 @@ def test_dots_that_are_out_of_round_are_named_with_the_key_that_helps(kind, seed
 
     def measured(shown: vision_guard.Film) -> tuple[MeasuringChain, list[tuple[str, ...]]]:
         chain = vision_guard.chain(shown)
-        pictures = zip(range(20), vision_guard.pictures(shown), strict=False)
+        pictures = zip(range(8), vision_guard.pictures(shown), strict=False)
         return chain, [
             chain.measure(10**18 + k * vision_guard.PERIOD_NS, picture).reasons for k, picture in pictures
         ]
