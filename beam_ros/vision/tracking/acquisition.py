@@ -18,12 +18,13 @@ from beam_ros.vision.tracking.marker_state import (
     SAME_PLACE_PX,
     MarkerState,
     beam_reach,
+    is_common,
     is_taken,
     shared,
 )
 from beam_ros.vision.tracking.rivals import Track, associated, present, swinging
 from beam_ros.vision.tracking.spot_search import OneDisc, one_disc
-from beam_ros.vision.tracking.spots import Reason, Spot, SpotMeter
+from beam_ros.vision.tracking.spots import Blob, Gates, Reason, Spot, SpotMeter
 
 _THRESHOLDS = (0.5, 0.3, 0.7)
 """Fractions of the strongest contrast at which spots are looked for, in a marker's rows where they are known."""
@@ -73,6 +74,8 @@ class Acquisition:
         self.shows_mosaic = self.shows_rings = False
         self.aspect: float | None = None
         self._aspects: list[float] = []
+        self._blobs: list[Blob] = []
+        self._shapes: dict[int, tuple[int, Gates]] = {}
 
     def acquire(
         self, image: ImageArray, frame: int, elapsed_ns: int, shear_of_speed: float
@@ -93,7 +96,7 @@ class Acquisition:
         missing = [k for k, marker in enumerate(self._markers) if not marker.is_followed]
         found: list[Candidate] = []
         others: list[tuple[float, float]] = []
-        self._rings, self._aspects = [], []
+        self._rings, self._aspects, self._blobs = [], [], []
         stands_out = [
             self._look(image, top, bottom, found, others)
             for top, bottom in self._bands(missing, image.shape[0])
@@ -112,6 +115,8 @@ class Acquisition:
         has_rows = any(self._markers[k].known_row is not None for k in missing)
         chosen, reasons = (self._in_rows if has_rows else self._in_order)(missing, found, others)
         reasons = self._out_of_round(reasons)
+        if not chosen and not self.shows_rings:
+            reasons = self._own_shapes(image, missing, reasons)
         unequal = self._unequal(chosen)
         for k in chosen.keys() - unequal:
             spot, light = chosen[k]
@@ -152,6 +157,45 @@ class Acquisition:
         odd: tuple[Reason, ...] = "smear", "shape"
         return {k: "out_of_round" if reason in odd else reason for k, reason in reasons.items()}
 
+    def _own_shapes(
+        self, image: ImageArray, missing: list[int], reasons: dict[int, Reason]
+    ) -> dict[int, Reason]:
+        """Take compact things that are no discs for markers, if most markers are so alike in several frames.
+
+        Triangles, crosses, cuts of tape: each is alone in its marker's row, and what shows in one frame shows in the
+        next. That most discs are covered or touched alike is not to be expected.
+        """
+        things = {k: thing for k in missing if (thing := self._alone(image, k)) is not None}
+        for k in missing:
+            count, gates = self._shapes.pop(k, (0, None))
+            if k in things:
+                spot, light, own = things[k]
+                is_same = gates is not None and self._meter.judge(spot, gates) == "ok"
+                self._shapes[k] = count + 1 if is_same else 1, self._meter.gates(light, own)
+        ready = [k for k, (count, _) in self._shapes.items() if count >= CONFIRMED_FRAMES]
+        if not is_common(len(ready), len(self._markers)):
+            return reasons
+        areas = [things[k][0].area for k in ready]
+        if max(areas) > (1 + _EQUAL_SIZE) * min(areas):
+            return reasons
+        for k in ready:
+            spot, light, own = things[k]
+            self._markers[k].introduce(spot, light, own, self._meter.gates(light, own), self._frame)
+            self._markers[k].rivals = []
+        return {k: reason for k, reason in reasons.items() if k not in ready}
+
+    def _alone(self, image: ImageArray, k: int) -> tuple[Spot, Light, Appearance] | None:
+        """Measure the one compact thing in a marker's row; None where there is none, or another one."""
+        row, apart = self._markers[k].known_row, 2 * self._meter.radius
+        if row is None:
+            return None
+        near = [
+            blob for blob in self._blobs if abs(blob.v - row) <= self._parameters.expected_row_tolerance_px
+        ]
+        if not near or any(math.dist(near[0][:2], blob[:2]) > apart for blob in near):
+            return None
+        return self._meter.compact(image, near[0].u, near[0].v, near[0].ground, is_narrow=near[0].is_crowded)
+
     def _sharpened(self) -> float:
         """By how much the second moments of most spots are less than their areas allow, where cameras sharpen [px^2].
 
@@ -190,6 +234,7 @@ class Acquisition:
         for fraction in _THRESHOLDS:
             for u, y, background, is_crowded in self._meter.centres(relief, fraction * contrast):
                 v = top + y
+                self._blobs.append(Blob(u, v, background, is_crowded))
                 candidate = self._meter.candidate(image, u, v, background, is_narrow=is_crowded)
                 if candidate is None:
                     others.append((u, v))

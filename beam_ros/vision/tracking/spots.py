@@ -231,7 +231,7 @@ class Gates(NamedTuple):
     Attributes
     ----------
     row, brightness, area, variance_v, variance_u, skew_u, skew_v : (float, float)
-    correlation : float -- largest covariance over the geometric mean of the variances
+    correlation, lean : float -- largest covariance over the geometric mean of the variances, beside its own [px^2]
     plain_u : float -- second moment along u up to which noise explains it [px^2]
     smears : Smears -- what a smear makes of the others beyond that
     """
@@ -242,6 +242,7 @@ class Gates(NamedTuple):
     variance_v: Bounds
     variance_u: Bounds
     correlation: float
+    lean: float
     skew_u: Bounds
     skew_v: Bounds
     plain_u: float
@@ -475,19 +476,7 @@ class SpotMeter:
         still = max(appearance.variance_u, appearance.variance_v + appearance.excess)
         noise = max(_SMEARED * self._excess_scatter(light, appearance), _SHORT_PX**2 / 12)
         smear = _LONGER * self._smear(spot.variance_u, still) if spot.variance_u - still > noise else 0.0
-        least = -0.5 * light.contrast if self._is_dark else 0.5 * light.contrast
-        found = appearance.model.fit(
-            image,
-            spot.u,
-            spot.v,
-            radius=appearance.radius,
-            edge=appearance.edge,
-            smear=smear,
-            least=least,
-            ground=(light.background - _DIP * light.noise, light.background + _DIP * light.noise),
-            shear=shear,
-            bend=bend,
-        )
+        found = self._fitted(image, spot, light, appearance, smear, shear, bend)
         if found is None:
             return self.centre(image, spot, light, appearance)
         if found.wave > self.parameters.shape_tolerance * self.radius:
@@ -495,6 +484,30 @@ class SpotMeter:
         if self.parameters.refinement == "radial_symmetry":
             found = self._crossing(image, spot, light, appearance.model, smear, found)
         return found
+
+    def _fitted(
+        self,
+        image: ImageArray,
+        spot: Spot,
+        light: Light,
+        appearance: Appearance,
+        smear: float,
+        shear: float | None = None,
+        bend: float = math.inf,
+    ) -> DiscFit | None:
+        """Fit the disc model to a spot, with a smear of some length to begin with [px]."""
+        return appearance.model.fit(
+            image,
+            spot.u,
+            spot.v,
+            radius=appearance.radius,
+            edge=appearance.edge,
+            smear=smear,
+            least=-0.5 * light.contrast if self._is_dark else 0.5 * light.contrast,
+            ground=(light.background - _DIP * light.noise, light.background + _DIP * light.noise),
+            shear=shear,
+            bend=bend,
+        )
 
     def _crossing(
         self, image: ImageArray, spot: Spot, light: Light, model: DiscModel, smear: float, found: DiscFit
@@ -544,6 +557,7 @@ class SpotMeter:
             variance_v=(own_v * (1 - shape), own_v * (1 + shape)),
             variance_u=(own_u * (1 - shape), own_u * (1 + shape) + self.smear_variance),
             correlation=shape,
+            lean=0.0 if appearance.is_disc else appearance.tilt / 2,
             skew_u=(appearance.skew_u - asymmetry, appearance.skew_u + asymmetry),
             skew_v=(appearance.skew_v - asymmetry, appearance.skew_v + asymmetry),
             plain_u=own_v + appearance.excess + _SMEARED * noise_u,
@@ -603,7 +617,7 @@ class SpotMeter:
 
     def judge(self, spot: Spot, gates: Gates) -> Reason:
         """Name the first gate that a spot fails."""
-        row, brightness, areas, of_v, of_u, correlation, of_skew_u, of_skew_v, plain_u, smears = gates
+        row, brightness, areas, of_v, of_u, correlation, lean, of_skew_u, of_skew_v, plain_u, smears = gates
         _, v, _, area, variance_u, variance_v, covariance, skew_u, skew_v, plateau, _ = spot
         if not row[0] <= v <= row[1]:
             return "jump"
@@ -623,7 +637,7 @@ class SpotMeter:
         if not (
             of_v[0] <= variance_v <= of_v[1]
             and of_u[0] <= variance_u <= of_u[1]
-            and abs(covariance) <= correlation * math.sqrt(variance_u * variance_v)
+            and abs(covariance - lean) <= correlation * math.sqrt(variance_u * variance_v)
         ):
             return "shape"
         if not (of_skew_u[0] <= skew_u <= of_skew_u[1] and of_skew_v[0] <= skew_v <= of_skew_v[1]):
@@ -637,11 +651,13 @@ class SpotMeter:
 
     def begin(self, found: DiscFit, appearance: Appearance) -> None:
         """Take a marker's own shape from the first frame."""
-        appearance.is_disc = appearance.model.misfit <= self.parameters.shape_tolerance * self.radius
+        appearance.is_disc &= appearance.model.misfit <= self.parameters.shape_tolerance * self.radius
         appearance.excess, appearance.tilt = self._own(appearance, found.excess, found.tilt)
 
     def flatness(self, appearance: Appearance) -> float:
-        """Excess of a disc that is turned about the beam as the rig says [px^2]."""
+        """Excess of a disc that is turned about the beam as the rig says, or a thing's of another shape [px^2]."""
+        if not appearance.is_disc:
+            return appearance.excess
         aspect = self.parameters.aspect
         return appearance.area / (4 * math.pi) * (aspect - 1 / aspect)
 
@@ -810,6 +826,74 @@ class SpotMeter:
         -------
         (Spot, Light) or None
         """
+        measured = self._measured(image, u, v, background, known_noise, is_narrow=is_narrow)
+        if measured is None:
+            return None
+        spot, light, disc, sides = measured
+        parameters = self.parameters
+        aspect = parameters.aspect
+        noise = min(math.sqrt(sides.variance), known_noise)
+        roundness = 0.1 + 2 * parameters.shape_tolerance + _SIGNIFICANT * noise / light.contrast
+        # A uniform disc of this area has a second moment of area / (4 pi); blur up to radius / 2 adds to it.
+        uniform = disc.area / (4 * math.pi)
+        round_u = disc.variance_v + self.flatness(disc)
+        is_marker = (
+            self._has_size(disc.area)
+            and spot.variance_u >= round_u * (1 - roundness)
+            and spot.variance_u <= round_u * (1 + roundness) + self.smear_variance
+            and abs(spot.covariance) <= roundness * disc.variance_v
+            and disc.variance_v <= (uniform / aspect + max(2.0, self.radius**2 / 4)) * (1 + roundness)
+            and abs(spot.skew_u) <= roundness
+            and abs(spot.skew_v) <= roundness
+            and abs(sides.left - sides.right) <= _EVEN * light.contrast + noise
+        )
+        return (spot, light) if is_marker else None
+
+    def compact(
+        self, image: ImageArray, u: float, v: float, background: float, *, is_narrow: bool = False
+    ) -> tuple[Spot, Light, Appearance] | None:
+        """Measure a compact thing of about a marker's size that is no disc by its rim; None where there is none.
+
+        Parameters are those of ``candidate``.
+        """
+        measured = self._measured(image, u, v, background, math.inf, is_narrow=is_narrow)
+        if measured is None:
+            return None
+        spot, light, _, sides = measured
+        if not (
+            self._has_size(spot.area)
+            and self.is_compact(image, spot, light)
+            and abs(sides.left - sides.right) <= _EVEN * light.contrast + light.noise
+        ):
+            return None
+        own = Appearance(
+            spot.area,
+            spot.variance_u,
+            spot.variance_v,
+            spot.skew_u,
+            spot.skew_v,
+            spot.v,
+            level=light.above / light.contrast,
+        )
+        found = self._fitted(image, spot, light, own, 0.0)
+        if (
+            found is None
+            or max(own.model.misfit, found.wave) <= self.parameters.shape_tolerance * self.radius
+        ):
+            return None
+        own.is_disc, own.excess, own.tilt = False, spot.variance_u - spot.variance_v, 2.0 * spot.covariance
+        return spot, light, own
+
+    def _has_size(self, area: float) -> bool:
+        """True for the area of a marker, as far as the rig knows it [px^2]."""
+        parameters = self.parameters
+        nominal, tolerance = math.pi * self.radius**2 * parameters.aspect, parameters.diameter_tolerance
+        return (1 - tolerance) ** 2 * nominal <= area <= (1 + tolerance) ** 2 * nominal
+
+    def _measured(
+        self, image: ImageArray, u: float, v: float, background: float, known_noise: float, *, is_narrow: bool
+    ) -> tuple[Spot, Light, Appearance, Sides] | None:
+        """Measure a spot with its own light, as the disc that it may be; None where nothing stands out enough."""
         parameters = self.parameters
         height, width = image.shape
         column, row = round(u), round(v)
@@ -841,24 +925,7 @@ class SpotMeter:
             plateau, u, v = background + (spot.plateau - background) / share, spot.u, spot.v
         if spot is None or light is None or disc is None:
             return None
-        aspect = parameters.aspect
-        nominal = math.pi * self.radius**2 * aspect
-        low, high = (1 - parameters.diameter_tolerance) ** 2, (1 + parameters.diameter_tolerance) ** 2
-        roundness = 0.1 + 2 * parameters.shape_tolerance + _SIGNIFICANT * noise / light.contrast
-        # A uniform disc of this area has a second moment of area / (4 pi); blur up to radius / 2 adds to it.
-        uniform = disc.area / (4 * math.pi)
-        round_u = disc.variance_v + self.flatness(disc)
-        is_marker = (
-            low * nominal <= disc.area <= high * nominal
-            and spot.variance_u >= round_u * (1 - roundness)
-            and spot.variance_u <= round_u * (1 + roundness) + self.smear_variance
-            and abs(spot.covariance) <= roundness * disc.variance_v
-            and disc.variance_v <= (uniform / aspect + max(2.0, self.radius**2 / 4)) * (1 + roundness)
-            and abs(spot.skew_u) <= roundness
-            and abs(spot.skew_v) <= roundness
-            and abs(sides.left - sides.right) <= _EVEN * light.contrast + noise
-        )
-        return (spot, light) if is_marker else None
+        return spot, light, disc, sides
 
     def _strip_fraction(
         self, image: ImageArray, spot: Spot, background: float, contrast: float, noise: float

@@ -515,9 +515,12 @@ class MarkerTracker:
             self._recovery.note_loss(k, self._frame)
             return self._invalid(marker, found, stamp_ns, spot.area)
         if appearance.frames == 1:
+            was_disc = appearance.is_disc
             meter.begin(found, appearance)
-            if not appearance.is_disc and isinstance(
-                other := meter.centre(image, spot, light, appearance), DiscFit
+            if (
+                was_disc
+                and not appearance.is_disc
+                and isinstance(other := meter.centre(image, spot, light, appearance), DiscFit)
             ):
                 found = other
                 meter.begin(found, appearance)

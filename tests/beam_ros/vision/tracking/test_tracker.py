@@ -908,7 +908,10 @@ def test_films_of_the_guard_are_seen_as_by_a_person(kind, seed, least):
 
 
 @pytest.mark.first_case
-@pytest.mark.parametrize(("kind", "seed"), [("square", 0), ("crosses", 1), ("square", 3)])
+@pytest.mark.parametrize(
+    ("kind", "seed"),
+    [("triangles", 0), ("square", 0), ("crosses", 1), ("triangles", 1), ("cut_dots", 1), ("square", 3)],
+)
 def test_what_is_no_disc_is_measured_by_its_centre_of_gravity_as_well_as_is_stated(kind, seed):
     found = vision_guard.row(kind, [seed], with_peer=False)
     assert (found["valid"], found["wrong"]) == (1.0, 0)
