@@ -68,24 +68,26 @@ def calibrate_from_board(
     Raises
     ------
     CalibrationError
-        No board in view, or pictures of another size than the rig's camera.
+        No board in view, no plane one, or the picture in the beam's plane of another size than the rig's camera.
     VideoError
         A file is neither a picture nor a video.
     """
     camera = rig.camera_parameters()
     shown = {path: some_frames(path, FRAMES_OF_A_VIDEO) for path in dict.fromkeys((plane, *tilted))}
+    warnings = []
     for path, pictures in shown.items():
-        others = {one.shape for one in pictures} - {(camera.height, camera.width)}
-        if others:
-            height, width = min(others)
-            is_one = "is" if len(pictures) == 1 else "holds one of"
-            raise CalibrationError(
-                f"{path}: {is_one} {width} x {height}; expected {camera.width} x {camera.height}, the rig's camera: "
-                "take pictures with it, or give its rig file with --rig-file"
-            )
+        own = [picture for picture in pictures if picture.shape == (camera.height, camera.width)]
+        if len(own) == len(pictures):
+            continue
+        height, width = min({picture.shape for picture in pictures} - {(camera.height, camera.width)})
+        is_one = "is" if len(pictures) == 1 else "holds one of"
+        fault = f"{path}: {is_one} {width} x {height}; expected {camera.width} x {camera.height}, the rig's camera"
+        if path == plane and not own:
+            raise CalibrationError(f"{fault}: take pictures with it, or give its rig file with --rig-file")
+        warnings.append(f"{fault}: {len(pictures) - len(own)} of {len(pictures)} left out")
+        shown[path] = own
     lens_fit: LensFit | None = None
     lens: Lens | None = None
-    warnings = []
     if tilted:
         given = [picture for path in (plane, *tilted) for picture in shown[path]]
         try:

@@ -298,6 +298,12 @@ class TrackerSettings:
     )
     row_gate: float = setting("farthest that a frame takes a marker across the rows", "m", 1e-5, 1.0)
     row_tolerance: float = setting("tolerance of the rows in which markers are expected", "m", 1e-5, 1.0)
+    region: tuple[float, ...] = setting(
+        "part of the picture in which markers are looked for: first and last column, first and last row",
+        "px",
+        0.0,
+        16384.0,
+    )
     averaged_frames: int = live("frames averaged for a tare or a calibration point", "", 2, 100_000)
     drawing_rate: float = live("largest rate of beam/shape and tracker/debug_image", "Hz", 0.1, 1e3)
     calibration: str = setting("calibration file; empty: the nominal scale")

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from beam_ros.arrays import FloatArray, StampArray
+from beam_ros.arrays import FloatArray, ImageArray, StampArray
 from beam_ros.offline.whole_beam import FollowedPoints, follow_strip
 from beam_ros.rig.beam_line import marker_shape_fitter
 from beam_ros.rig.rig import Rig
@@ -24,11 +24,14 @@ from beam_ros.vision.calibration.storage import load_calibration
 from beam_ros.vision.camera.video import VideoFile
 from beam_ros.vision.errors import CalibrationError, VideoError, VisionParameterError
 from beam_ros.vision.fields import DEINTERLACE
-from beam_ros.vision.measurement.measuring_chain import MeasuringChain
+from beam_ros.vision.measurement.measuring_chain import Measurement, MeasuringChain
 from beam_ros.vision.measurement.repeated_frames import find_repeated_frames
 from beam_ros.vision.mosaic import UNDO
 from beam_ros.vision.parameters import CameraParameters
 from beam_ros.vision.tracking.acquisition import FULL_DISCS
+
+Watch = Callable[[MeasuringChain, ImageArray, Measurement], None]
+"""Called with every frame of the markers when it is measured."""
 
 _MIN_SEEN = _MAX_DAMAGED = 0.5
 
@@ -90,6 +93,7 @@ def track_video(
     *,
     is_whole: bool = False,
     row_step: int = 10,
+    watch: Watch | None = None,
 ) -> TrackedVideo:
     """Track the rig's markers, or the whole strip, through a video.
 
@@ -100,6 +104,7 @@ def track_video(
     calibration : LinearCalibration, optional -- None: the one that the rig names, else its nominal scale
     progress : callable -- told the share done
     is_whole : bool -- follow the strip at every ``row_step`` rows, not the markers
+    watch : callable, optional -- given every frame of the markers, measured
 
     Returns
     -------
@@ -139,7 +144,7 @@ def track_video(
         tracked = follow_strip(video, camera, rig.beam.length, rig.markers, calibration, row_step, progress)
         notes = [f"the strip was followed at {len(tracked.names)} heights, every {row_step} rows"]
     else:
-        tracked, notes = _track_markers(video, camera, rig, calibration, progress)
+        tracked, notes = _track_markers(video, camera, rig, calibration, progress, watch)
     damaged = video.damaged_frames(len(tracked.times_ns))
     if np.mean(damaged) > _MAX_DAMAGED:
         raise VideoError(
@@ -151,6 +156,7 @@ def track_video(
         remedies = {
             "mosaic": f"grey or colour images, no raw mosaic of a colour sensor: {UNDO}",
             "ring": FULL_DISCS,
+            "out_of_round": "; ".join(note for note in notes if "tracker.aspect" in note),
         }
         elsewhere = (
             "it where the rig file puts it: check markers.heights, markers.diameter, camera.origin_u and "
@@ -196,6 +202,7 @@ def _track_markers(
     rig: Rig,
     calibration: LinearCalibration | None,
     progress: Callable[[float], None],
+    watch: Watch | None,
 ) -> tuple[FollowedPoints, list[str]]:
     """Track the markers; returns their record, and what calibration or exposure do not say of the camera."""
     names, heights = rig.markers.names, rig.markers.heights
@@ -209,6 +216,8 @@ def _track_markers(
     with contextlib.closing(video.frames()) as frames:
         for time_ns, image in frames:
             measured.append(chain.measure(time_ns, image))
+            if watch is not None:
+                watch(chain, image, measured[-1])
             progress(len(measured) / max(video.n_frames, len(measured)))
     reasons: tuple[dict[str, int], ...] = tuple({} for _ in names)
     for frame in measured:
@@ -320,7 +329,7 @@ def _with_repeated_images(
         reasons=reasons,
     )
     n_known, n_more, n_frames = np.count_nonzero(known), np.count_nonzero(found.is_copy & ~known), len(known)
-    said = [f"{n_known} of {n_frames} frames are the one before, bit for bit"] if n_known else []
+    said = [f"{n_known} of {n_frames} frames are the one before, noise aside"] if n_known else []
     said += (
         [f"{n_more} of {n_frames} frames are nearly the one before, as a codec gives it back"]
         if n_more

@@ -31,7 +31,7 @@ from beam_ros.interfaces import graph
 from beam_ros.messages import BagTypes
 from beam_ros.offline.loading.described_rig import described_rig
 from beam_ros.offline.loading.experiment import VIDEO_TOPIC
-from beam_ros.offline.tracked_film import TrackedVideo, track_video
+from beam_ros.offline.tracked_film import TrackedVideo, Watch, track_video
 from beam_ros.rig.rig import Rig
 from beam_ros.vision.calibration.linear import LinearCalibration
 from beam_ros.vision.camera.video import VideoFile, read_frame_times
@@ -117,6 +117,7 @@ def track_into_bag(
     replaces: bool = False,
     is_whole: bool = False,
     row_step: int = 10,
+    watch: Watch | None = None,
     progress: Progress = lambda phrase, share: None,
 ) -> dict[str, Any]:
     """Track a video and put its displacements into a bag.
@@ -133,6 +134,7 @@ def track_into_bag(
     has_exact_rate : bool -- do not fit the rate of the camera's clock
     replaces : bool -- leave out displacements that the bag has already, instead of refusing it
     is_whole : bool -- follow the strip at every ``row_step`` rows, not the markers
+    watch : callable, optional -- given every frame of the markers, measured
     progress : callable -- called with a phrase and the share done
 
     Returns
@@ -166,6 +168,7 @@ def track_into_bag(
         lambda share: progress("tracking", share),
         is_whole=is_whole,
         row_step=row_step,
+        watch=watch,
     )
     try:
         found = synchronise_with_hub(tracked, hub, has_exact_rate=has_exact_rate)

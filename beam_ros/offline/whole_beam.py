@@ -41,7 +41,7 @@ class FollowedPoints:
     u_px, v_px, x_m, sigma_m : ndarray, shape (n, m) -- place in the image, displacement u(z, t) and its standard
         deviation; NaN where not seen
     reasons : tuple of mapping of str to int, length m -- how often each point was valid ("ok"), or not and why
-    is_repeated : ndarray of bool, shape (n,) -- the image is the one before, bit for bit, though what it shows moves
+    is_repeated : ndarray of bool, shape (n,) -- the image is the one before, noise aside, though what it shows moves
     """
 
     names: tuple[str, ...]

@@ -417,6 +417,7 @@ class Rig(RigParameters):
             max_jump_px=max(tracker.max_jump * scale, 1.0),
             row_gate_px=max(tracker.row_gate * scale, 0.5),
             expected_row_tolerance_px=tracker.row_tolerance * scale,
+            region_px=tracker.region,
             shape_tolerance=tracker.shape_tolerance,
             brightness_tolerance=tracker.brightness_tolerance,
             noise_line=line if any(line) else None,

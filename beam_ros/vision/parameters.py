@@ -252,6 +252,8 @@ class TrackerParameters:
     shape_tolerance : float -- tolerance of the second moments (relative) and of the asymmetry (third moments
         over the cube of the radius of gyration) against the marker's own, beside five standard deviations
     brightness_tolerance : float -- relative tolerance of the brightness against its slow average
+    region_px : tuple of 4 float or None -- first and last column, first and last row of the part of the picture in
+        which markers are looked for [px]; None: all of it
     noise_grey : float or None -- noise of a pixel [grey levels of the image]; None measures it
     noise_line : (float, float) or None -- variance of a pixel at level 0 [grey levels^2], and its growth with the
         level [grey levels]; None measures them
@@ -274,6 +276,7 @@ class TrackerParameters:
     area_tolerance: float = 0.04
     shape_tolerance: float = 0.03
     brightness_tolerance: float = 0.30
+    region_px: tuple[float, ...] | None = None
     noise_grey: float | None = None
     noise_line: tuple[float, float] | None = None
 
@@ -308,6 +311,8 @@ class TrackerParameters:
             )
         _require_word(self, "polarity", Polarity)
         _require_word(self, "refinement", Refinement)
+        if self.region_px is not None:
+            self._require_region(self.region_px)
         if self.expected_rows_px is not None:
             rows = tuple(float(row) for row in self.expected_rows_px)
             least = self.marker_diameter_px + self.max_smear_px / 2 + _APART_PX
@@ -321,6 +326,28 @@ class TrackerParameters:
             # A row between two markers belongs to neither.
             tolerance = min([self.expected_row_tolerance_px, *(_ROOM * gap for gap in gaps)])
             object.__setattr__(self, "expected_row_tolerance_px", tolerance)
+
+    def _require_region(self, region: tuple[float, ...]) -> None:
+        """Check that a part of the picture has room for the markers, and holds their rows."""
+        room = 2 * self.marker_diameter_px
+        _require(
+            len(region) == 4
+            and all(map(_is_finite, region))
+            and min(region[0], region[2]) >= 0.0
+            and min(region[1] - region[0], region[3] - region[2]) >= room,
+            "tracker.region",
+            region,
+            f"first and last column, first and last row, at least {room:g} px apart",
+        )
+        # Whether the rows lie in the picture is not this check's business.
+        first = region[2] or -math.inf
+        outside = [row for row in self.expected_rows_px or () if not first <= row <= region[3]]
+        _require(
+            not outside,
+            "tracker.region",
+            region,
+            f"rows that hold all markers (outside lie {[round(row, 1) for row in outside]})",
+        )
 
     @property
     def max_gate_px(self) -> float:

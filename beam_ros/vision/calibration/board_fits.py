@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 
 from beam_ros.arrays import FloatArray, ImageArray
-from beam_ros.vision.calibration.boards import Board, BoardView, find_board
+from beam_ros.vision.calibration.boards import CORNER_WINDOW_PX, Board, BoardView, find_board
 from beam_ros.vision.calibration.lens import Lens
 from beam_ros.vision.calibration.lens_covariance import (
     N_MATRIX,
@@ -224,7 +224,7 @@ def fit_scale(
 
     Raises
     ------
-    CalibrationError -- the board is not in view
+    CalibrationError -- the board is not in view, or is no plane
 
     Notes
     -----
@@ -233,6 +233,13 @@ def fit_scale(
     of the scale along the main directions of the lens's covariance, for one standard deviation each.
     """
     view = find_board(image, board)
+    off_px = _off_plane(view, lens)
+    if off_px > CORNER_WINDOW_PX:
+        raise CalibrationError(
+            f"the corners of the {board.pattern} lie {off_px:.0f} px (RMS) off the image of any plane; expected less "
+            f"than {CORNER_WINDOW_PX} px, the window in which a corner is looked for: hold the board flat, and check "
+            f"that it has {board.columns} x {board.rows} {board.counted}"
+        )
     scale, sd, tilt, residual_rms_px = _similarity(view, lens)
     of_lens = 0.0
     if lens is not None and covariance is not None:
@@ -241,6 +248,16 @@ def fit_scale(
             of_lens = math.hypot(of_lens, (ahead - back) / (2.0 * _STEP))
     relative = board.square_sd_m / board.square_m
     return ScaleFit(scale, math.hypot(sd, of_lens, scale * relative), tilt, residual_rms_px)
+
+
+def _off_plane(view: BoardView, lens: Lens | None) -> float:
+    """How far a board's points lie off the image of a plane, whatever its tilt (RMS) [px]."""
+    seen = view.image_px if lens is None else np.stack(lens.undistort(*view.image_px.T), axis=1)
+    plane, _ = cv2.findHomography(view.board_m, seen)
+    if plane is None:
+        return math.inf
+    shown = cv2.perspectiveTransform(view.board_m[:, None, :], plane)[:, 0]
+    return float(np.sqrt(np.mean(np.sum((shown - seen) ** 2, axis=1))))
 
 
 def _main_steps(covariance: FloatArray) -> FloatArray:

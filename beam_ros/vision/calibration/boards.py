@@ -24,7 +24,8 @@ PATTERNS: tuple[Pattern, ...] = get_args(Pattern)
 _MIN_COUNTS = {"checkerboard": 3, "charuco": 3, "aruco": 2}
 _COUNTED = {"checkerboard": "inner corners", "charuco": "inner corners", "aruco": "markers"}
 _MIN_POINTS = 6
-_CORNER_WINDOW_PX = 5
+CORNER_WINDOW_PX = 5
+"""A corner is looked for so far to every side of where it first seems to be [px]."""
 _FLAT = 0.05
 """Points whose spread across is a smaller share of that along lie on a line, from which nothing can be fitted."""
 
@@ -151,7 +152,7 @@ def _checkerboard(grey: ImageArray, board: Board) -> tuple[IndexArray, FloatArra
     is_found, corners = cv2.findChessboardCorners(grey, (board.columns, board.rows), flags=flags)
     if not is_found:
         return np.empty(0, dtype=np.intp), np.empty((0, 2))
-    window = (_CORNER_WINDOW_PX, _CORNER_WINDOW_PX)
+    window = (CORNER_WINDOW_PX, CORNER_WINDOW_PX)
     criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_MAX_ITER, 60, 1e-4)
     refined = cv2.cornerSubPix(grey, corners, window, (-1, -1), criteria)
     return np.arange(board.columns * board.rows), np.asarray(refined, dtype=np.float64).reshape(-1, 2)

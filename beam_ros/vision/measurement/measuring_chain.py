@@ -196,6 +196,18 @@ class MeasuringChain:
         return f"what is like the markers has another brightness in its middle (ring): expected {FULL_DISCS}"
 
     @property
+    def aspect_doubt(self) -> str:
+        """What is to be said of markers that are not as wide as high, or ""."""
+        aspect = self.tracker.aspect
+        if aspect is None or self.tracker.is_acquired:
+            return ""
+        return (
+            f"what is like the markers is {aspect:.3f} times as wide as high (out_of_round): expected "
+            f"{self.tracker.parameters.aspect:g}, as tracker.aspect says; look at the beam at a right angle, or set "
+            f"tracker.aspect to {aspect:.3f} if the dots look like that in a still picture"
+        )
+
+    @property
     def doubts(self) -> list[str]:
         """What is to be said of the camera, in node and film alike."""
         said = (
@@ -205,6 +217,7 @@ class MeasuringChain:
             self.reduction_doubt,
             self.mosaic_doubt,
             self.rings_doubt,
+            self.aspect_doubt,
         )
         return [doubt for doubt in said if doubt]
 

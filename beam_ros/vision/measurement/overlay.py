@@ -8,10 +8,11 @@ import cv2
 import numpy as np
 
 from beam_ros.arrays import ByteArray, ImageArray
-from beam_ros.vision.tracking.tracker import FrameResult
+from beam_ros.vision.tracking.tracker import FrameResult, SeenSpot
 
 _VALID = (80, 220, 80)
 _LOST = (60, 60, 255)
+_CANDIDATE = (255, 180, 60)
 _TEXT = cv2.FONT_HERSHEY_SIMPLEX
 _SUB_PIXEL_BITS = 4
 
@@ -60,3 +61,25 @@ def draw_overlay(
             row = 14 * (k + 1) if rows_px is None else round(rows_px[k])
             cv2.putText(canvas, f"{name} {marker.reason}", (4, row), _TEXT, 0.4, _LOST, 1, cv2.LINE_AA)
     return np.asarray(canvas, dtype=np.uint8)
+
+
+def draw_spots(picture: ByteArray, spots: Sequence[SeenSpot], names: Sequence[str]) -> ByteArray:
+    """Mark what stands out in the markers' rows in a picture of ``draw_overlay``: as which marker, or why as none.
+
+    Parameters
+    ----------
+    picture : ndarray, shape (height, width, 3), uint8 -- is drawn into
+    spots : sequence of SeenSpot
+    names : sequence of str -- of the markers, lowest first
+
+    Returns
+    -------
+    ndarray -- the picture
+    """
+    for spot in spots:
+        place = round(spot.u_px), round(spot.v_px)
+        cv2.drawMarker(picture, place, _CANDIDATE, cv2.MARKER_TILTED_CROSS, 7, 1, cv2.LINE_AA)
+        whose = "" if spot.marker is None else f"{names[spot.marker]}: "
+        below = place[0] + 8, place[1] + 14
+        cv2.putText(picture, f"{whose}{spot.word}", below, _TEXT, 0.35, _CANDIDATE, 1, cv2.LINE_AA)
+    return picture

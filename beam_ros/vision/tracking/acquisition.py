@@ -18,12 +18,13 @@ from beam_ros.vision.tracking.marker_state import (
     SAME_PLACE_PX,
     MarkerState,
     beam_reach,
+    is_common,
     is_taken,
     shared,
 )
 from beam_ros.vision.tracking.rivals import Track, associated, present, swinging
-from beam_ros.vision.tracking.spot_search import one_disc
-from beam_ros.vision.tracking.spots import Reason, Spot, SpotMeter
+from beam_ros.vision.tracking.spot_search import OneDisc, one_disc
+from beam_ros.vision.tracking.spots import Blob, Gates, Reason, Spot, SpotMeter
 
 _THRESHOLDS = (0.5, 0.3, 0.7)
 """Fractions of the strongest contrast at which spots are looked for, in a marker's rows where they are known."""
@@ -56,6 +57,7 @@ class Acquisition:
     ----------
     shows_mosaic : bool -- most of what last was like a marker lies in a mosaic of colours
     shows_rings : bool -- most of it has a hole
+    aspect : float or None -- width over height of most of it, which is not what was expected; None where it is
     """
 
     def __init__(self, meter: SpotMeter, markers: list[MarkerState], exposure_s: float) -> None:
@@ -70,6 +72,10 @@ class Acquisition:
         self._narrower = 0.0
         self._rings: list[tuple[float, float]] = []
         self.shows_mosaic = self.shows_rings = False
+        self.aspect: float | None = None
+        self._aspects: list[float] = []
+        self._blobs: list[Blob] = []
+        self._shapes: dict[int, tuple[int, Gates]] = {}
 
     def acquire(
         self, image: ImageArray, frame: int, elapsed_ns: int, shear_of_speed: float
@@ -88,15 +94,15 @@ class Acquisition:
         """
         self._frame, self._elapsed_ns, self._shear_of_speed = frame, elapsed_ns, shear_of_speed
         missing = [k for k, marker in enumerate(self._markers) if not marker.is_followed]
-        background, extreme = self._meter.levels(image)
-        contrast = abs(extreme - background)
-        if contrast < self._parameters.min_contrast_grey:
-            return dict.fromkeys(missing, "no_contrast")
         found: list[Candidate] = []
         others: list[tuple[float, float]] = []
-        self._rings = []
-        for top, bottom in self._bands(missing, image.shape[0]):
+        self._rings, self._aspects, self._blobs = [], [], []
+        stands_out = [
             self._look(image, top, bottom, found, others)
+            for top, bottom in self._bands(missing, image.shape[0])
+        ]
+        if not any(stands_out):
+            return dict.fromkeys(missing, "no_contrast")
         if found:
             n_mosaics = sum(self._meter.is_mosaic(image, *candidate) for candidate in found)
             self.shows_mosaic = 2 * n_mosaics > len(found)
@@ -108,6 +114,9 @@ class Acquisition:
         self.shows_rings = len(self._rings) > len(found)
         has_rows = any(self._markers[k].known_row is not None for k in missing)
         chosen, reasons = (self._in_rows if has_rows else self._in_order)(missing, found, others)
+        reasons = self._out_of_round(reasons)
+        if not chosen and not self.shows_rings:
+            reasons = self._own_shapes(image, missing, reasons)
         unequal = self._unequal(chosen)
         for k in chosen.keys() - unequal:
             spot, light = chosen[k]
@@ -116,6 +125,76 @@ class Acquisition:
         if self.shows_rings:
             reasons = {k: "ring" if reason == "not_acquired" else reason for k, reason in reasons.items()}
         return {**reasons, **dict.fromkeys(unequal, "area")}
+
+    def seen(self, image: ImageArray) -> list[tuple[float, float, str]]:
+        """Columns, rows and names of what stands out where markers are looked for [px]: for people."""
+        found: list[Candidate] = []
+        others: list[tuple[float, float]] = []
+        missing = [k for k, marker in enumerate(self._markers) if not marker.is_followed]
+        for top, bottom in self._bands(missing, image.shape[0]):
+            self._look(image, top, bottom, found, others)
+        discs = [(spot.u, spot.v) for spot, _ in found]
+        alone = [
+            place
+            for i, place in enumerate(others)
+            if all(math.dist(place, other) > self._meter.radius for other in [*discs, *others[:i]])
+        ]
+        return [(*place, "a disc") for place in discs] + [
+            (*place, "no disc of a marker's size") for place in alone
+        ]
+
+    def _out_of_round(self, reasons: dict[int, Reason]) -> dict[int, Reason]:
+        """Name what keeps markers that are not as wide as high, if most of them are so alike, as of a pitched camera.
+
+        A second image over the picture looks alike, too: a person has to say that the dots look like that.
+        """
+        if 2 * len(self._aspects) <= len(self._markers):
+            return reasons
+        away = [math.log(aspect / self._parameters.aspect) for aspect in self._aspects]
+        if shared(away, len(away)) == 0.0 and len(away) > 1:
+            return reasons
+        self.aspect = median(self._aspects)
+        odd: tuple[Reason, ...] = "smear", "shape"
+        return {k: "out_of_round" if reason in odd else reason for k, reason in reasons.items()}
+
+    def _own_shapes(
+        self, image: ImageArray, missing: list[int], reasons: dict[int, Reason]
+    ) -> dict[int, Reason]:
+        """Take compact things that are no discs for markers, if most markers are so alike in several frames.
+
+        Triangles, crosses, cuts of tape: each is alone in its marker's row, and what shows in one frame shows in the
+        next. That most discs are covered or touched alike is not to be expected.
+        """
+        things = {k: thing for k in missing if (thing := self._alone(image, k)) is not None}
+        for k in missing:
+            count, gates = self._shapes.pop(k, (0, None))
+            if k in things:
+                spot, light, own = things[k]
+                is_same = gates is not None and self._meter.judge(spot, gates) == "ok"
+                self._shapes[k] = count + 1 if is_same else 1, self._meter.gates(light, own)
+        ready = [k for k, (count, _) in self._shapes.items() if count >= CONFIRMED_FRAMES]
+        if not is_common(len(ready), len(self._markers)):
+            return reasons
+        areas = [things[k][0].area for k in ready]
+        if max(areas) > (1 + _EQUAL_SIZE) * min(areas):
+            return reasons
+        for k in ready:
+            spot, light, own = things[k]
+            self._markers[k].introduce(spot, light, own, self._meter.gates(light, own), self._frame)
+            self._markers[k].rivals = []
+        return {k: reason for k, reason in reasons.items() if k not in ready}
+
+    def _alone(self, image: ImageArray, k: int) -> tuple[Spot, Light, Appearance] | None:
+        """Measure the one compact thing in a marker's row; None where there is none, or another one."""
+        row, apart = self._markers[k].known_row, 2 * self._meter.radius
+        if row is None:
+            return None
+        near = [
+            blob for blob in self._blobs if abs(blob.v - row) <= self._parameters.expected_row_tolerance_px
+        ]
+        if not near or any(math.dist(near[0][:2], blob[:2]) > apart for blob in near):
+            return None
+        return self._meter.compact(image, near[0].u, near[0].v, near[0].ground, is_narrow=near[0].is_crowded)
 
     def _sharpened(self) -> float:
         """By how much the second moments of most spots are less than their areas allow, where cameras sharpen [px^2].
@@ -141,16 +220,21 @@ class Acquisition:
         bottom: int,
         found: list[Candidate],
         others: list[tuple[float, float]],
-    ) -> None:
-        """Sort what stands out in a part of the image, by its own light, into markers and other things."""
-        band = image[top:bottom]
-        background, extreme = self._meter.levels(band)
-        contrast = abs(extreme - background)
+    ) -> bool:
+        """Sort what stands out in a part of the image, by its own light, into markers and other things.
+
+        Returns
+        -------
+        bool -- False: nothing does
+        """
+        relief = self._meter.relief(image[top:bottom])
+        contrast = relief.most
         if contrast < self._parameters.min_contrast_grey:
-            return
+            return False
         for fraction in _THRESHOLDS:
-            for u, y, is_crowded in self._meter.centres(band, background, fraction * contrast):
+            for u, y, background, is_crowded in self._meter.centres(relief, fraction * contrast):
                 v = top + y
+                self._blobs.append(Blob(u, v, background, is_crowded))
                 candidate = self._meter.candidate(image, u, v, background, is_narrow=is_crowded)
                 if candidate is None:
                     others.append((u, v))
@@ -164,6 +248,7 @@ class Acquisition:
                 elif away > self._meter.radius / 2:
                     # No room for two discs: one, and something that touches it.
                     others.append(candidate[0][:2])
+        return True
 
     def _in_order(
         self, missing: list[int], found: list[Candidate], others: list[tuple[float, float]]
@@ -263,6 +348,8 @@ class Acquisition:
         beside = [u for u, v in others if math.dist((u, v), spot[:2]) > SAME_PLACE_PX]
         things = beside if disc.reason == "ok" else [*beside, spot.u]
         marker.note_clutter(things, self._frame)
+        if before is not None and before[0] == self._frame - 1:
+            self._note_aspect(marker, spot, disc, before[2])
         if disc.reason != "ok":
             return disc.reason
         # Anything else may be the marker, smeared, joined with a twin or covered in part.
@@ -276,9 +363,7 @@ class Acquisition:
             return "ok"
         if before is None or before[0] != self._frame - 1:
             return "smear"
-        # Mean speed over the two exposures' middles; the exposure is a part of the time in between.
-        share = min(1.0, self._exposure_s * 1e9 / self._elapsed_ns) if self._elapsed_ns > 0 else 1.0
-        explained = (share * (spot.u - before[1])) ** 2 / 12
+        explained = self._explained(marker)
         lengths = math.sqrt(max(disc.excess, 0.0)), math.sqrt(max(before[2], 0.0))
         slack = disc.tolerance + _SPEED_SLACK * explained + (lengths[0] - lengths[1]) ** 2 / 4
         if (disc.excess + before[2]) / 2 - explained > slack:
@@ -287,6 +372,28 @@ class Acquisition:
         half = self._shear_of_speed * (spot.u - before[1]) * self._bare[spot][2].variance_v / 2
         slack = disc.tolerance + (1 + 2 * _SPEED_SLACK) * abs(half) + abs(disc.covariance - before[3]) / 4
         return "ok" if abs((disc.covariance + before[3]) / 2 - half) <= slack else "shape"
+
+    def _explained(self, marker: MarkerState) -> float:
+        """Second moment along u that a marker's mean speed since the frame before explains [px^2]."""
+        # The speed is that of the two exposures' middles; the exposure is a part of the time in between.
+        share = min(1.0, self._exposure_s * 1e9 / self._elapsed_ns) if self._elapsed_ns > 0 else 1.0
+        return (share * marker.velocity) ** 2 / 12
+
+    def _note_aspect(self, marker: MarkerState, spot: Spot, disc: OneDisc, excess_before: float) -> None:
+        """Take the aspect of a spot that is out of round by more than its motion explains.
+
+        Notes
+        -----
+        A disc of area S and aspect q has second moments that differ by S (q - 1 / q) / (4 pi). What is beyond that of
+        the expected aspect is the spot's excess.
+        """
+        explained = self._explained(marker)
+        left = (disc.excess + excess_before) / 2 - explained
+        if abs(left) <= disc.tolerance + _SPEED_SLACK * explained:
+            return
+        uniform, aspect = self._bare[spot][2].area / (4 * math.pi), self._parameters.aspect
+        half = (left / uniform + aspect - 1 / aspect) / 2
+        self._aspects.append(half + math.sqrt(half * half + 1.0))
 
     def _unequal(self, chosen: dict[int, Candidate]) -> list[int]:
         """Markers of another size than most of them: a twin that touches, or a part that is hidden."""

@@ -284,12 +284,12 @@ class SmearedLooks:
 
     def at(self, excess: float) -> Smeared:
         """Look of the smear that adds so much to the second moment along u [px^2]; the longest one's beyond it."""
+        if excess <= 0.0:
+            return UNSMEARED  # which the table begins with: most markers never need one
         if self._table is None:
             self._table = self._made_table()
         excesses, looks = self._table
         after = bisect_left(excesses, excess)
-        if after == 0:
-            return UNSMEARED
         if after == len(excesses):
             return looks[-1]
         share = (excess - excesses[after - 1]) / (excesses[after] - excesses[after - 1])
@@ -374,6 +374,8 @@ class Appearance:
     radius, edge : float -- of the disc, and the standard deviation of its rim's blur [px]
     disc : tuple of int -- the two, as the apertures are tabulated
     is_settled : bool -- it is averaged over enough frames
+    is_disc : bool -- False: a compact thing of another shape, of which only the centre of gravity is meant
+    is_bounded : bool -- the ground about it ends nearer than a smear may reach, as that of a label
     uneven : float -- mean square of how far uneven light pulls the centre, as far as it shows beyond noise [px^2]
     model : DiscModel -- what is fitted to it, and learns its noise
     """
@@ -392,6 +394,8 @@ class Appearance:
     edge: float = field(init=False)
     disc: tuple[int, int] = field(init=False)
     is_settled: bool = field(init=False)
+    is_disc: bool = field(init=False, default=True)
+    is_bounded: bool = field(init=False, default=False)
     uneven: float = field(init=False, default=0.0)
     model: DiscModel = field(init=False, default_factory=DiscModel)
 

@@ -411,10 +411,17 @@ class DiscModel:
         self._slopes = (Habit(_STEEP, _STEEP), Habit(0.0, _STEEP, is_constant=True))
         self._even_bend, self._bend = Habit(_BENT, 0.0), Habit(_BENT, 0.0)
         self._modes = [0.0] * len(_MODES_OF_RIM)
+        self._mode_noise = 0.0
         self._last = math.nan
         self._roughness = 1.0, 1.0
         self._beside = self._behind = 0.0
         self._textures = 0
+
+    @property
+    def misfit(self) -> float:
+        """Amplitude of the waves that the rim always shows, beyond what noise makes of them: 0 of a disc [px]."""
+        squared = sum(mode * mode for mode in self._modes)
+        return math.sqrt(max(squared - _UNLIKELY * self._mode_noise, 0.0))
 
     def fit(
         self,
@@ -515,6 +522,7 @@ class DiscModel:
         variance += pull_variance
         sheared = [] if shear is None else [(shear * change) ** 2 for change in table.sheared]
         wave = self._learn_rim(shares[_MODES], noise[_MODES], sheared)
+        self._mode_noise = sum(noise[_MODES])
         # In the second moments, what the model leaves of a flat top shows.
         unit, lit = table.variances[_LENGTH]
         alpha, beta = (left / (contrast * contrast) for left in self._left)

@@ -94,6 +94,11 @@ class Disc(NamedTuple):
     variance_v: float
 
 
+def _round(appearance: Appearance, flatness: float) -> Disc:
+    """What a marker looks like that is as round as it should be; one that is no disc has only its own look."""
+    return Disc(flatness, 0.0 if appearance.is_disc else appearance.tilt, appearance.variance_v)
+
+
 def _unexplained(found: DiscFit, motion: Motion, appearance: Appearance | Disc) -> tuple[float, float]:
     """Excess and tilt that are left of a marker that moved by so much at most [px^2]."""
     excess, tilt = found.excess - appearance.excess, abs(found.tilt - appearance.tilt)
@@ -275,7 +280,7 @@ class SecondImages:
                 px = max(px, usual_pull(found, AT_REST, appearance))
             aside = 0.0
             if (was_pulled or not appearance.is_settled) and motion.smear**2 / 12 <= found.sigma_excess:
-                look = appearance if appearance.is_settled else Disc(flatness, 0.0, appearance.variance_v)
+                look = appearance if appearance.is_settled else _round(appearance, flatness)
                 aside = pull(found, motion, look, _PLAIN if was_pulled else _STRIKING)
                 if was_pulled and aside > abs(step):
                     self._unreflected_frames = 0
@@ -290,7 +295,7 @@ class SecondImages:
                 self.note_explained(found.sigma_excess, speed, since_s)
         if is_seen or self._is_reflected:
             for k, (found, appearance, flatness, _, speed, doubt, _) in enumerate(sightings):
-                disc = Disc(flatness, 0.0, appearance.variance_v)
+                disc = _round(appearance, flatness)
                 motion = self._motion(max(speed - doubt, 0.0) / since_s)
                 px = 0.0
                 if self._is_reflected or pull(found, motion, disc, _DOUBTED) > 0.0:

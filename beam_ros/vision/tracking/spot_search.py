@@ -69,20 +69,16 @@ def spots_in_row(
     found = RowSpots([], [], [])
     if bottom <= top:
         return found
-    band = image[top:bottom]
-    grounds = [(light.background, light.contrast)]
-    if math.isnan(own):
-        background, extreme = meter.levels(band)
-        contrast = abs(extreme - background)
-        if (
-            abs(contrast / light.contrast - 1) > _OTHER_LIGHT
-            and contrast >= meter.parameters.min_contrast_grey
-        ):
-            grounds.append((background, contrast))
-    elif meter.is_alone(band, light.background, _THRESHOLD * light.contrast, own):
+    band, contrasts = image[top:bottom], [light.contrast]
+    if not math.isnan(own) and meter.is_alone(band, light, _THRESHOLD * light.contrast, own):
         return found
-    for background, contrast in grounds:
-        for x, y, is_crowded in meter.centres(band, background, _THRESHOLD * contrast):
+    relief = meter.relief(band)
+    if math.isnan(own):
+        most = relief.most
+        if abs(most / light.contrast - 1) > _OTHER_LIGHT and most >= meter.parameters.min_contrast_grey:
+            contrasts.append(most)
+    for contrast in contrasts:
+        for x, y, background, is_crowded in meter.centres(relief, _THRESHOLD * contrast):
             v = top + y
             if abs(x - own) < meter.radius or abs(v - row) > reach + meter.radius:
                 continue

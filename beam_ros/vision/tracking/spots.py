@@ -54,6 +54,7 @@ Reason = Literal[
     "no_contrast",
     "mosaic",
     "ring",
+    "out_of_round",
     "repeated",
     "hidden",
     "ambiguous",
@@ -68,8 +69,9 @@ Reason = Literal[
 """Why a measurement is not valid; "ok" where it is.
 
 not_acquired: the marker has not been found yet; no_contrast: nothing in the image stands out; mosaic: the
-pixels differ as behind the filters of a colour sensor; ring: what is like a marker has a hole; repeated: the
-image is the one before, bit for bit, though the markers moved; hidden: no spot where the marker should be;
+pixels differ as behind the filters of a colour sensor; ring: what is like a marker has a hole; out_of_round:
+most of what is like a marker is wider than high, or the reverse, by more than its motion explains; repeated: the
+image is the one before, noise aside, though the markers moved; hidden: no spot where the marker should be;
 ambiguous: it cannot be distinguished from another spot; area, shape, asymmetry, brightness: the spot differs from
 the marker as acquired (covered, merged with another spot, glare, out of focus); smear: longer than its speed
 explains, as of a second image over it; jump: too far from the prediction or from the marker's row; border:
@@ -163,6 +165,40 @@ class Sides(NamedTuple):
     variance: float
 
 
+class Relief(NamedTuple):
+    """What stands out of its neighbourhood in a part of an image.
+
+    Attributes
+    ----------
+    height : ndarray, shape (height, width) -- by how much every pixel does, towards the markers' light [grey levels]
+    ground : ndarray, shape (height, width) -- what it stands out of [grey levels]
+    """
+
+    height: ImageArray
+    ground: ImageArray
+
+    @property
+    def most(self) -> float:
+        """The most by which anything stands out [grey levels]."""
+        return cv2.minMaxLoc(self.height)[1]
+
+
+class Blob(NamedTuple):
+    """Where something of about a marker's size stands out.
+
+    Attributes
+    ----------
+    u, v : float -- middle of its bounding box [px]
+    ground : float -- what it stands out of [grey levels]
+    is_crowded : bool -- another spot reaches into its surroundings
+    """
+
+    u: float
+    v: float
+    ground: float
+    is_crowded: bool
+
+
 Bounds = tuple[float, float]
 
 
@@ -195,7 +231,7 @@ class Gates(NamedTuple):
     Attributes
     ----------
     row, brightness, area, variance_v, variance_u, skew_u, skew_v : (float, float)
-    correlation : float -- largest covariance over the geometric mean of the variances
+    correlation, lean : float -- largest covariance over the geometric mean of the variances, beside its own [px^2]
     plain_u : float -- second moment along u up to which noise explains it [px^2]
     smears : Smears -- what a smear makes of the others beyond that
     """
@@ -206,6 +242,7 @@ class Gates(NamedTuple):
     variance_v: Bounds
     variance_u: Bounds
     correlation: float
+    lean: float
     skew_u: Bounds
     skew_v: Bounds
     plain_u: float
@@ -270,6 +307,8 @@ class SpotMeter:
         self.half = math.ceil(self.radius + parameters.max_smear_px / 2 + _CLEAR_PX)
         self.narrow_half = math.ceil(self.radius + _CLEAR_PX)
         self.smear_variance = parameters.max_smear_px**2 / 12
+        self._tallest = (1 + parameters.diameter_tolerance) * parameters.marker_diameter_px + 2
+        self._column = np.ones((2 * math.ceil(self._tallest / 2) + 1, 1), np.uint8)
         self._is_dark = parameters.polarity == "dark"
         self._least_area = 0.25 * math.pi * self.radius**2
         self._compiled = compiled_spot_numbers()
@@ -332,9 +371,9 @@ class SpotMeter:
         parameters = self.parameters
         reach, across = round(parameters.max_gate_px), round(parameters.row_gate_px)
         top, left = max(0, round(v) - across), max(0, round(u) - reach)
-        band = image[top : round(v) + across + 1, left : round(u) + reach + 1]
-        background, extreme = self.levels(band)
-        return abs(extreme - background) < (1.0 - parameters.brightness_tolerance) * contrast
+        top, bottom = max(0, top - self.half), round(v) + across + self.half + 1
+        relief = self.relief(image[top:bottom, left : round(u) + reach + 1])
+        return relief.most < (1.0 - parameters.brightness_tolerance) * contrast
 
     def is_clipped(self, image: ImageArray, u: float, v: float) -> bool:
         """True when the pixels about a place are all of the one grey level that no pixel of the picture exceeds."""
@@ -431,23 +470,13 @@ class SpotMeter:
         DiscFit -- that of ``centre`` where the disc model fails; or a reason as there, or "shape" where the rim is
             disturbed by more than the tolerance of the shape
         """
+        if not appearance.is_disc:
+            return self.centre(image, spot, light, appearance)
         # A smear that the moments do not show beyond their noise, and that of their pixels, the fit itself finds.
         still = max(appearance.variance_u, appearance.variance_v + appearance.excess)
         noise = max(_SMEARED * self._excess_scatter(light, appearance), _SHORT_PX**2 / 12)
         smear = _LONGER * self._smear(spot.variance_u, still) if spot.variance_u - still > noise else 0.0
-        least = -0.5 * light.contrast if self._is_dark else 0.5 * light.contrast
-        found = appearance.model.fit(
-            image,
-            spot.u,
-            spot.v,
-            radius=appearance.radius,
-            edge=appearance.edge,
-            smear=smear,
-            least=least,
-            ground=(light.background - _DIP * light.noise, light.background + _DIP * light.noise),
-            shear=shear,
-            bend=bend,
-        )
+        found = self._fitted(image, spot, light, appearance, smear, shear, bend)
         if found is None:
             return self.centre(image, spot, light, appearance)
         if found.wave > self.parameters.shape_tolerance * self.radius:
@@ -455,6 +484,30 @@ class SpotMeter:
         if self.parameters.refinement == "radial_symmetry":
             found = self._crossing(image, spot, light, appearance.model, smear, found)
         return found
+
+    def _fitted(
+        self,
+        image: ImageArray,
+        spot: Spot,
+        light: Light,
+        appearance: Appearance,
+        smear: float,
+        shear: float | None = None,
+        bend: float = math.inf,
+    ) -> DiscFit | None:
+        """Fit the disc model to a spot, with a smear of some length to begin with [px]."""
+        return appearance.model.fit(
+            image,
+            spot.u,
+            spot.v,
+            radius=appearance.radius,
+            edge=appearance.edge,
+            smear=smear,
+            least=-0.5 * light.contrast if self._is_dark else 0.5 * light.contrast,
+            ground=(light.background - _DIP * light.noise, light.background + _DIP * light.noise),
+            shear=shear,
+            bend=bend,
+        )
 
     def _crossing(
         self, image: ImageArray, spot: Spot, light: Light, model: DiscModel, smear: float, found: DiscFit
@@ -504,6 +557,7 @@ class SpotMeter:
             variance_v=(own_v * (1 - shape), own_v * (1 + shape)),
             variance_u=(own_u * (1 - shape), own_u * (1 + shape) + self.smear_variance),
             correlation=shape,
+            lean=0.0 if appearance.is_disc else appearance.tilt / 2,
             skew_u=(appearance.skew_u - asymmetry, appearance.skew_u + asymmetry),
             skew_v=(appearance.skew_v - asymmetry, appearance.skew_v + asymmetry),
             plain_u=own_v + appearance.excess + _SMEARED * noise_u,
@@ -563,7 +617,7 @@ class SpotMeter:
 
     def judge(self, spot: Spot, gates: Gates) -> Reason:
         """Name the first gate that a spot fails."""
-        row, brightness, areas, of_v, of_u, correlation, of_skew_u, of_skew_v, plain_u, smears = gates
+        row, brightness, areas, of_v, of_u, correlation, lean, of_skew_u, of_skew_v, plain_u, smears = gates
         _, v, _, area, variance_u, variance_v, covariance, skew_u, skew_v, plateau, _ = spot
         if not row[0] <= v <= row[1]:
             return "jump"
@@ -583,7 +637,7 @@ class SpotMeter:
         if not (
             of_v[0] <= variance_v <= of_v[1]
             and of_u[0] <= variance_u <= of_u[1]
-            and abs(covariance) <= correlation * math.sqrt(variance_u * variance_v)
+            and abs(covariance - lean) <= correlation * math.sqrt(variance_u * variance_v)
         ):
             return "shape"
         if not (of_skew_u[0] <= skew_u <= of_skew_u[1] and of_skew_v[0] <= skew_v <= of_skew_v[1]):
@@ -596,16 +650,21 @@ class SpotMeter:
         return smears.looks.at(spot.variance_u - smears.own_u - _SMEARED * smears.scatter)
 
     def begin(self, found: DiscFit, appearance: Appearance) -> None:
-        """Take a marker's own excess and tilt from the first frame."""
+        """Take a marker's own shape from the first frame."""
+        appearance.is_disc &= appearance.model.misfit <= self.parameters.shape_tolerance * self.radius
         appearance.excess, appearance.tilt = self._own(appearance, found.excess, found.tilt)
 
     def flatness(self, appearance: Appearance) -> float:
-        """Excess of a disc that is turned about the beam as the rig says [px^2]."""
+        """Excess of a disc that is turned about the beam as the rig says, or a thing's of another shape [px^2]."""
+        if not appearance.is_disc:
+            return appearance.excess
         aspect = self.parameters.aspect
         return appearance.area / (4 * math.pi) * (aspect - 1 / aspect)
 
     def _own(self, appearance: Appearance, excess: float, tilt: float) -> tuple[float, float]:
-        """Excess and tilt, as far as markers are out of round."""
+        """Excess and tilt, as far as discs are out of round."""
+        if not appearance.is_disc:
+            return excess, tilt
         tolerance, flat = self.parameters.shape_tolerance * appearance.variance_v, self.flatness(appearance)
         return (
             min(max(excess, min(flat, 0.0) - tolerance), max(flat, 0.0) + tolerance),
@@ -655,74 +714,92 @@ class SpotMeter:
 
     # -- whole images --------------------------------------------------------------------------------------
 
-    def centres(
-        self, region: ImageArray, background: float, height: float
-    ) -> list[tuple[float, float, bool]]:
+    def relief(self, image: ImageArray) -> Relief:
+        """Look at what stands out of its own neighbourhood, lone pixels aside.
+
+        Notes
+        -----
+        Of a marker the highest column is known. What is longer than that along v is ground: a label, a strip, a wall,
+        a step of the light. That is what a closing (of dark markers; an opening of bright ones) with a line of this
+        length leaves of the image.
+        """
+        even = cv2.blur(image, (3, 3))
+        mode = cv2.MORPH_CLOSE if self._is_dark else cv2.MORPH_OPEN
+        ground: ImageArray = cv2.morphologyEx(even, mode, self._column)
+        return Relief(cv2.absdiff(ground, even), ground)
+
+    def centres(self, relief: Relief, height: float) -> list[Blob]:
         """Find spots of about a marker's size by threshold and contours.
 
         Parameters
         ----------
-        region : ndarray, shape (height, width)
-        background : float -- [grey levels]
-        height : float -- distance of the threshold from the background [grey levels]
+        relief : Relief -- of a part of an image
+        height : float -- by how much they stand out of their ground [grey levels]
 
         Returns
         -------
-        list of (float, float, bool) -- centres of their bounding boxes [px of the region], and whether
-            another spot reaches into the surroundings of this one
+        list of Blob -- [px of the part]
         """
-        mode = cv2.THRESH_BINARY_INV if self._is_dark else cv2.THRESH_BINARY
-        _, mask = cv2.threshold(region, self._threshold(background, height), 255, mode)
+        _, mask = cv2.threshold(relief.height, math.floor(height), 255, cv2.THRESH_BINARY)
         if mask.dtype != np.uint8:
             mask = mask.astype(np.uint8)
         contours = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[-2]
         parameters = self.parameters
-        diameter = parameters.marker_diameter_px
-        smallest = (1 - parameters.diameter_tolerance) * diameter * min(parameters.aspect, 1.0) - 2
-        tallest = (1 + parameters.diameter_tolerance) * diameter + 2
-        widest = 2 * tallest + parameters.max_smear_px  # two that touch are one object
+        smallest = (1 - parameters.diameter_tolerance) * parameters.marker_diameter_px * min(
+            parameters.aspect, 1.0
+        ) - 2
+        widest = 2 * self._tallest + parameters.max_smear_px  # two that touch are one object
         boxes = [cv2.boundingRect(contour) for contour in contours]
         boxes = [(x + (w - 1) / 2, y + (h - 1) / 2, w, h) for x, y, w, h in boxes if w >= 3 and h >= 3]
-        near = self.half + APART_PX
         return [
-            (
-                u,
-                v,
-                any(
-                    (u, v) != (other_u, other_v)
-                    and abs(u - other_u) < near + other_w / 2
-                    and abs(v - other_v) < near + other_h / 2
-                    for other_u, other_v, other_w, other_h in boxes
-                ),
-            )
+            Blob(u, v, float(relief.ground[round(v), round(u)]), self._is_crowded(relief, u, v, boxes))
             for u, v, w, h in boxes
-            if smallest <= w <= widest and smallest <= h <= tallest
+            if smallest <= w <= widest and smallest <= h <= self._tallest
         ]
 
-    def _threshold(self, background: float, height: float) -> int:
-        """Return the whole grey level that a spot so far from the background passes."""
-        return math.floor(background - height if self._is_dark else background + height)
+    def _is_crowded(
+        self, relief: Relief, u: float, v: float, boxes: list[tuple[float, float, int, int]]
+    ) -> bool:
+        """True when another spot, by its box, or another ground reaches into a spot's surroundings."""
+        near = self.half + APART_PX
+        if any(
+            (u, v) != (other_u, other_v)
+            and abs(u - other_u) < near + other_w / 2
+            and abs(v - other_v) < near + other_h / 2
+            for other_u, other_v, other_w, other_h in boxes
+        ):
+            return True
+        return self._is_bounded(relief, float(relief.height[round(v), round(u)]), u, v)
 
-    def is_alone(self, region: ImageArray, background: float, height: float, u: float) -> bool:
-        """True when a region as of ``centres`` shows no spot but within a marker's radius of a column.
+    def is_bounded(self, image: ImageArray, spot: Spot, contrast: float) -> bool:
+        """True when the ground about a spot of some contrast ends within its region."""
+        reach = self.half + self._column.shape[0]
+        left, top = max(round(spot.u) - reach, 0), max(round(spot.v) - reach, 0)
+        near = image[top : round(spot.v) + reach + 1, left : round(spot.u) + reach + 1]
+        return self._is_bounded(self.relief(near), contrast, spot.u - left, spot.v - top)
 
-        Where no pixel a radius and more away passes the threshold, what passes it, three pixels wide at least, has
-        its middle within the radius.
+    def _is_bounded(self, relief: Relief, contrast: float, u: float, v: float) -> bool:
+        """True when a ground that counts beside a marker of such a contrast reaches into the region of a spot."""
+        left, top, reach = max(0, round(u) - self.half), max(0, round(v) - self.half), self.half + 1
+        lowest, highest, _, _ = cv2.minMaxLoc(relief.ground[top : round(v) + reach, left : round(u) + reach])
+        own = float(relief.ground[round(v), round(u)])
+        other = own - lowest if self._is_dark else highest - own
+        return other > max(_EVEN * contrast, self.parameters.min_contrast_grey)
+
+    def is_alone(self, region: ImageArray, light: Light, height: float, u: float) -> bool:
+        """True when a region shows nothing so far from the background but within a marker's radius of a column.
+
+        What stands out of its neighbourhood as a marker does is as bright as one: ``centres`` finds nothing there.
+        This takes a tenth of the time.
         """
-        threshold = self._threshold(background, height)
         first, last = math.floor(u - self.radius), math.ceil(u + self.radius)
+        threshold = math.floor(light.background - height if self._is_dark else light.background + height)
         for beside in (region[:, : max(first, 0)], region[:, last + 1 :]):
             if beside.size:
                 lowest, highest, _, _ = cv2.minMaxLoc(beside)
                 if lowest <= threshold if self._is_dark else highest > threshold:
                     return False
         return True
-
-    def levels(self, image: ImageArray) -> tuple[float, float]:
-        """Background of a whole image and the extreme of the markers' polarity, lone pixels aside."""
-        background = float(np.median(image[::8, ::8]))
-        lowest, highest, _, _ = cv2.minMaxLoc(cv2.blur(image, (3, 3)))
-        return background, float(lowest if self._is_dark else highest)
 
     def candidate(
         self,
@@ -749,6 +826,74 @@ class SpotMeter:
         -------
         (Spot, Light) or None
         """
+        measured = self._measured(image, u, v, background, known_noise, is_narrow=is_narrow)
+        if measured is None:
+            return None
+        spot, light, disc, sides = measured
+        parameters = self.parameters
+        aspect = parameters.aspect
+        noise = min(math.sqrt(sides.variance), known_noise)
+        roundness = 0.1 + 2 * parameters.shape_tolerance + _SIGNIFICANT * noise / light.contrast
+        # A uniform disc of this area has a second moment of area / (4 pi); blur up to radius / 2 adds to it.
+        uniform = disc.area / (4 * math.pi)
+        round_u = disc.variance_v + self.flatness(disc)
+        is_marker = (
+            self._has_size(disc.area)
+            and spot.variance_u >= round_u * (1 - roundness)
+            and spot.variance_u <= round_u * (1 + roundness) + self.smear_variance
+            and abs(spot.covariance) <= roundness * disc.variance_v
+            and disc.variance_v <= (uniform / aspect + max(2.0, self.radius**2 / 4)) * (1 + roundness)
+            and abs(spot.skew_u) <= roundness
+            and abs(spot.skew_v) <= roundness
+            and abs(sides.left - sides.right) <= _EVEN * light.contrast + noise
+        )
+        return (spot, light) if is_marker else None
+
+    def compact(
+        self, image: ImageArray, u: float, v: float, background: float, *, is_narrow: bool = False
+    ) -> tuple[Spot, Light, Appearance] | None:
+        """Measure a compact thing of about a marker's size that is no disc by its rim; None where there is none.
+
+        Parameters are those of ``candidate``.
+        """
+        measured = self._measured(image, u, v, background, math.inf, is_narrow=is_narrow)
+        if measured is None:
+            return None
+        spot, light, _, sides = measured
+        if not (
+            self._has_size(spot.area)
+            and self.is_compact(image, spot, light)
+            and abs(sides.left - sides.right) <= _EVEN * light.contrast + light.noise
+        ):
+            return None
+        own = Appearance(
+            spot.area,
+            spot.variance_u,
+            spot.variance_v,
+            spot.skew_u,
+            spot.skew_v,
+            spot.v,
+            level=light.above / light.contrast,
+        )
+        found = self._fitted(image, spot, light, own, 0.0)
+        if (
+            found is None
+            or max(own.model.misfit, found.wave) <= self.parameters.shape_tolerance * self.radius
+        ):
+            return None
+        own.is_disc, own.excess, own.tilt = False, spot.variance_u - spot.variance_v, 2.0 * spot.covariance
+        return spot, light, own
+
+    def _has_size(self, area: float) -> bool:
+        """True for the area of a marker, as far as the rig knows it [px^2]."""
+        parameters = self.parameters
+        nominal, tolerance = math.pi * self.radius**2 * parameters.aspect, parameters.diameter_tolerance
+        return (1 - tolerance) ** 2 * nominal <= area <= (1 + tolerance) ** 2 * nominal
+
+    def _measured(
+        self, image: ImageArray, u: float, v: float, background: float, known_noise: float, *, is_narrow: bool
+    ) -> tuple[Spot, Light, Appearance, Sides] | None:
+        """Measure a spot with its own light, as the disc that it may be; None where nothing stands out enough."""
         parameters = self.parameters
         height, width = image.shape
         column, row = round(u), round(v)
@@ -780,24 +925,7 @@ class SpotMeter:
             plateau, u, v = background + (spot.plateau - background) / share, spot.u, spot.v
         if spot is None or light is None or disc is None:
             return None
-        aspect = parameters.aspect
-        nominal = math.pi * self.radius**2 * aspect
-        low, high = (1 - parameters.diameter_tolerance) ** 2, (1 + parameters.diameter_tolerance) ** 2
-        roundness = 0.1 + 2 * parameters.shape_tolerance + _SIGNIFICANT * noise / light.contrast
-        # A uniform disc of this area has a second moment of area / (4 pi); blur up to radius / 2 adds to it.
-        uniform = disc.area / (4 * math.pi)
-        round_u = disc.variance_v + self.flatness(disc)
-        is_marker = (
-            low * nominal <= disc.area <= high * nominal
-            and spot.variance_u >= round_u * (1 - roundness)
-            and spot.variance_u <= round_u * (1 + roundness) + self.smear_variance
-            and abs(spot.covariance) <= roundness * disc.variance_v
-            and disc.variance_v <= (uniform / aspect + max(2.0, self.radius**2 / 4)) * (1 + roundness)
-            and abs(spot.skew_u) <= roundness
-            and abs(spot.skew_v) <= roundness
-            and abs(sides.left - sides.right) <= _EVEN * light.contrast + noise
-        )
-        return (spot, light) if is_marker else None
+        return spot, light, disc, sides
 
     def _strip_fraction(
         self, image: ImageArray, spot: Spot, background: float, contrast: float, noise: float

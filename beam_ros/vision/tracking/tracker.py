@@ -24,7 +24,7 @@ from beam_ros.vision.errors import ImageFormatError, VisionParameterError
 from beam_ros.vision.fields import InterlacedFields
 from beam_ros.vision.noise_reduction import STILL_PX, NoiseReduction
 from beam_ros.vision.parameters import TrackerParameters
-from beam_ros.vision.repeats import RepeatedImages
+from beam_ros.vision.repeats import LATELY, RepeatedImages, is_shown_again
 from beam_ros.vision.timing import FrameTiming
 from beam_ros.vision.tracking.acquisition import Acquisition
 from beam_ros.vision.tracking.appearance import Appearance, Light
@@ -106,6 +106,22 @@ class FrameResult(NamedTuple):
         return all(marker.is_valid for marker in self.markers)
 
 
+class SeenSpot(NamedTuple):
+    """Something in a frame that stands out of its neighbourhood by about a marker's size.
+
+    Attributes
+    ----------
+    u_px, v_px : float -- where it is [px]
+    marker : int or None -- number of the marker in whose row it lies; None where no rows are known
+    word : str -- "like it", "a disc" where the marker is not known yet, or why it is not taken for the marker
+    """
+
+    u_px: float
+    v_px: float
+    marker: int | None
+    word: str
+
+
 class Sight(NamedTuple):
     """A marker that was found in a frame, before the frame as a whole is judged.
 
@@ -166,6 +182,7 @@ class MarkerTracker:
             self._row_delay_s = camera.readout_s / (camera.height - 1)
         self._frame = self._look_until = self._stamp_ns = 0
         self._since_s, self._shear_of_speed = self._period_s, 0.0
+        self._n_repeated = 0
         self.reset()
 
     # -- state ---------------------------------------------------------------------------------------------
@@ -173,7 +190,12 @@ class MarkerTracker:
     def reset(self) -> None:
         """Forget every marker; the next frame starts with acquisition."""
         rows = self.parameters.expected_rows_px
-        self._markers = [MarkerState(None if rows is None else rows[k]) for k in range(self.n_markers)]
+        region = self.parameters.region_px or (0.0, math.inf, 0.0, math.inf)
+        self._left, self._top = math.ceil(region[0]), math.ceil(region[2])
+        self._size = region[1] - self._left, region[3] - self._top
+        self._markers = [
+            MarkerState(None if rows is None else rows[k] - self._top) for k in range(self.n_markers)
+        ]
         self._acquisition = Acquisition(self._meter, self._markers, self._exposure_s)
         self._recovery = Recovery(self._meter, self._markers)
         self._seconds = SecondImages(self._exposed_s, self._row_delay_s)
@@ -182,7 +204,7 @@ class MarkerTracker:
         self._fields = InterlacedFields()
         self._reduction = NoiseReduction()
         self._shape = None
-        self._frame, self._look_until = 0, LOOKS
+        self._frame, self._look_until, self._n_repeated = 0, LOOKS, 0
 
     def pass_over(self, n_frames: int) -> None:
         """Take note that so many frames are missing: the markers may be elsewhere, and are what they were."""
@@ -228,6 +250,11 @@ class MarkerTracker:
         return self._acquisition.shows_mosaic
 
     @property
+    def aspect(self) -> float | None:
+        """Width over height of what was not acquired for it; None where that was as expected."""
+        return self._acquisition.aspect
+
+    @property
     def shows_rings(self) -> bool:
         """True where most of what last was like a marker has a hole, and was not acquired."""
         return self._acquisition.shows_rings
@@ -249,7 +276,7 @@ class MarkerTracker:
 
         Raises
         ------
-        ImageFormatError -- the image is not a two-dimensional uint8 or uint16 array
+        ImageFormatError -- the image is not a two-dimensional uint8 or uint16 array, or has no room for the region
         """
         if image.ndim != 2 or (image.dtype != np.uint8 and image.dtype != np.uint16):
             raise ImageFormatError(
@@ -260,6 +287,36 @@ class MarkerTracker:
             if self._shape is not None:
                 self.reset()
             self._shape = (int(image.shape[0]), int(image.shape[1]))
+        whole = image
+        image, foretold = self._within(image, foretold)
+        result = self._process(image, stamp_ns, foretold)
+        if image is whole:
+            return result
+        # Inside, all places count from the corner of the region.
+        markers = [m._replace(u_px=m.u_px + self._left, v_px=m.v_px + self._top) for m in result.markers]
+        return result._replace(markers=tuple(markers))
+
+    def _within(
+        self, image: ImageArray, foretold: Sequence[Foretold]
+    ) -> tuple[ImageArray, Sequence[Foretold]]:
+        """Cut an image to the region in which markers are looked for, with places counted from there."""
+        (height, width), (columns, rows) = image.shape, self._size
+        if self._left == self._top == 0 and columns >= width - 1 and rows >= height - 1:
+            return image, foretold
+        right, bottom = (
+            math.floor(min(last, size))
+            for last, size in ((self._left + columns + 1, width), (self._top + rows + 1, height))
+        )
+        part = image[self._top : bottom, self._left : right]
+        if min(part.shape) < 2 * self.parameters.marker_diameter_px:
+            raise ImageFormatError(
+                f"image is {width} x {height}, of which tracker.region {self.parameters.region_px} leaves "
+                f"{part.shape[1]} x {part.shape[0]}; expected room for the markers: correct tracker.region"
+            )
+        return part, [place._replace(u_px=place.u_px - self._left) for place in foretold]
+
+    def _process(self, image: ImageArray, stamp_ns: int, foretold: Sequence[Foretold]) -> FrameResult:
+        """Measure every marker in the region of a frame."""
         self._frame += 1
         if self._repeats.is_repeated(image) and any(marker.is_moving for marker in self._markers):
             self._recovery.note_losses(self._frame)
@@ -291,6 +348,14 @@ class MarkerTracker:
         if lost:
             self._look_until = self._frame + LOOKS
             self._recovery.find(image, self._frame, lost, spots, reasons)
+        elif self._n_repeated < LATELY and is_shown_again(
+            ((self._markers[k].way, spots[k].u, self._markers[k].sigma) for k in places), self._frame
+        ):
+            # The markers are where they are, which this image does not tell: the next one does.
+            self._n_repeated += 1
+            nothing = [self._nothing(marker, "repeated", stamp_ns, math.nan) for marker in self._markers]
+            return FrameResult(stamp_ns, tuple(nothing), ())
+        self._n_repeated = 0
         found = [self._found(image, k, spots.get(k), reasons[k], stamp_ns) for k in range(self.n_markers)]
         sights = [sight for sight in found if isinstance(sight, Sight)]
         pulls: Iterator[Pull] = repeat(NO_PULL)
@@ -318,21 +383,43 @@ class MarkerTracker:
         told = [k for k, marker in enumerate(self._markers) if marker.is_foretold] if foretold else ()
         return FrameResult(stamp_ns, tuple(results), tuple(told))
 
+    def explained(self, image: ImageArray) -> list[SeenSpot]:
+        """Say what stands out in the markers' rows of the frame that was processed last, and as what it counts.
+
+        Parameters
+        ----------
+        image : ndarray, shape (height, width), uint8 or uint16 -- that frame
+        """
+        image, _ = self._within(image, ())
+        spots = [
+            SeenSpot(u, v, None, word)
+            for u, v, word in ([] if self.is_acquired else self._acquisition.seen(image))
+        ]
+        for k, marker in enumerate(self._markers):
+            if marker.is_followed:
+                row = self._recovery.in_row(image, k, is_wide=True)
+                spots += [SeenSpot(spot.u, spot.v, k, "like it") for spot, _ in row.alike]
+                spots += [SeenSpot(u, marker.v, k, why) for u, why in row.others]
+        return [spot._replace(u_px=spot.u_px + self._left, v_px=spot.v_px + self._top) for spot in spots]
+
     def _contrast(self, image: ImageArray) -> float:
         """Contrast of what stands out most in a picture; 0 where that is less than a marker has [grey levels]."""
-        background, extreme = self._meter.levels(image)
-        contrast = abs(extreme - background)
+        contrast = self._meter.relief(image).most
         return contrast if contrast >= self.parameters.min_contrast_grey else 0.0
 
     def _stamp(self, stamp_ns: int, row: float) -> int:
         if self.timing is None or not math.isfinite(row):
             return stamp_ns
-        return self.timing.row_middle(stamp_ns, row)
+        return self.timing.row_middle(stamp_ns, row + self._top)
 
     def _invalid(self, marker: MarkerState, reason: Reason, stamp_ns: int, area: float) -> MarkerMeasurement:
         """Count a lost frame."""
         marker.lost_frames += 1
         marker.shown = math.nan
+        return self._nothing(marker, reason, stamp_ns, area)
+
+    def _nothing(self, marker: MarkerState, reason: Reason, stamp_ns: int, area: float) -> MarkerMeasurement:
+        """Measurement of a marker that is not valid."""
         row = marker.v if math.isfinite(marker.v) or marker.known_row is None else marker.known_row
         contrast = math.nan if marker.light is None else marker.light.contrast
         return MarkerMeasurement(*_NOWHERE, False, reason, self._stamp(stamp_ns, row), contrast, area)
@@ -355,10 +442,11 @@ class MarkerTracker:
     def _expected(self, marker: MarkerState) -> tuple[float, float, Light, bool]:
         """Where and in which light a marker should be, and whether another spot is near."""
         assert marker.light is not None
-        predicted, is_crowded = marker.predicted, False
+        assert marker.appearance is not None
+        predicted, is_crowded = marker.predicted, marker.appearance.is_bounded
         if marker.rivals:
             near = self._meter.half + self._meter.radius + APART_PX
-            is_crowded = any(abs(at - predicted) < near for at in self._beside(marker))
+            is_crowded |= any(abs(at - predicted) < near for at in self._beside(marker))
         return predicted, marker.v, marker.light, is_crowded
 
     def _compare(self, image: ImageArray, marker: MarkerState, spot: Spot, predicted: float) -> Reason:
@@ -407,6 +495,8 @@ class MarkerTracker:
         is_accompanied = bool(marker.rivals) and bool(recent(marker.rivals, self._frame))
         if is_due or is_fresh or is_new or is_accompanied:
             row = self._recovery.in_row(image, k, own=spot.u)
+            if is_fresh or not appearance.is_settled:
+                appearance.is_bounded = meter.is_bounded(image, spot, light.contrast)
             if is_new and self._has_company(marker, row):
                 marker.forget()
                 marker.rivals = [
@@ -425,7 +515,15 @@ class MarkerTracker:
             self._recovery.note_loss(k, self._frame)
             return self._invalid(marker, found, stamp_ns, spot.area)
         if appearance.frames == 1:
+            was_disc = appearance.is_disc
             meter.begin(found, appearance)
+            if (
+                was_disc
+                and not appearance.is_disc
+                and isinstance(other := meter.centre(image, spot, light, appearance), DiscFit)
+            ):
+                found = other
+                meter.begin(found, appearance)
         is_lit = is_due and not is_accompanied
         return Sight(marker, light, appearance, spot, found, is_fresh, is_lit, is_due)
 

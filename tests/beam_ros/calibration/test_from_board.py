@@ -69,14 +69,18 @@ def test_pictures_without_the_board_are_counted(tmp_path: Path, capsys: pytest.C
     assert found in capsys.readouterr().out
 
 
-def test_a_picture_of_another_size_in_a_folder_is_named(
+def test_a_picture_of_another_size_is_left_out_with_a_note(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for k, pose in enumerate(POSES):
         write(tmp_path / f"{k}.png", picture(*pose, lens=BENT, seed=k))
     write(tmp_path / "9.png", picture(*POSES[1], lens=BENT)[:240, :320])
-    assert main(["calibrate", str(tmp_path / "0.png"), str(tmp_path), *BOARD]) == 2
-    assert f"{tmp_path}: holds one of 320 x 240; expected 640 x 480" in capsys.readouterr().err
+    assert main(["calibrate", str(tmp_path / "0.png"), str(tmp_path), *BOARD]) == 0
+    said = capsys.readouterr().out
+    assert f"{tmp_path}: holds one of 320 x 240; expected 640 x 480" in said
+    assert f"1 of {len(POSES) + 1} left out" in said
+    assert main(["calibrate", str(tmp_path / "9.png"), str(tmp_path), *BOARD]) == 2
+    assert f"{tmp_path / '9.png'}: is 320 x 240; expected 640 x 480" in capsys.readouterr().err
 
 
 @pytest.mark.slow

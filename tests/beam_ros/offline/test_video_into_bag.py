@@ -119,7 +119,7 @@ def test_frames_that_a_converter_repeats_are_left_out_and_said(tmp_path: Path) -
     tracked = track_video(VideoFile(write_video(tmp_path / "padded.mkv", frames)), rig)
     assert all(counts == {"ok": 48, "repeated": 12} for counts in tracked.reasons)
     (note,) = tracked.notes
-    assert "12 of 60 frames are the one before, bit for bit" in note
+    assert "12 of 60 frames are the one before, noise aside" in note
 
 
 @pytest.mark.parametrize("n_stated", [60, 66])

@@ -64,6 +64,20 @@ def test_tracker_parameters_that_contradict_are_refused(change):
         packaged_tracker(**change)
 
 
+@pytest.mark.parametrize(
+    ("region", "said"),
+    [
+        ((0.0, 20.0, 0.0, 479.0), "at least 24 px apart"),
+        ((0.0, 639.0, 479.0, 0.0), "at least 24 px apart"),
+        ((0.0, 639.0, 0.0), "first and last column"),
+        ((0.0, 639.0, 100.0, 479.0), r"rows that hold all markers \(outside lie \[37\.5\]\)"),
+    ],
+)
+def test_a_region_without_room_or_without_a_markers_row_is_refused(region, said):
+    with pytest.raises(VisionParameterError, match=rf"tracker\.region is .*{said}.*rig file"):
+        packaged_tracker(packaged_camera(), [0.01, 0.285], region_px=region)
+
+
 def test_tracker_parameters_follow_from_the_camera():
     camera = packaged_camera(contrast=-150.0, background=200.0)
     parameters = packaged_tracker(camera, [0.01, 0.285], area_tolerance=0.2)

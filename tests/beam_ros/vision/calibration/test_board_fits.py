@@ -240,3 +240,17 @@ def test_lens_and_scale_scatter_as_stated(tilt, monkeypatch):
     # 16 draws: an RMS is known to 18 %; three of these.
     assert np.all(np.abs(np.sqrt(np.mean(np.square(deviations), axis=0)) - 1.0) < 0.54)
     assert abs(np.sqrt(np.mean(np.square(scales))) - 1.0) < 0.54
+
+
+@pytest.mark.parametrize(("bend_px", "is_plane"), [(0.0, True), (4.0, True), (30.0, False)])
+def test_a_board_that_is_no_plane_gives_no_scale(bend_px, is_plane):
+    flat = picture(*POSES[0])
+    v, u = np.mgrid[:480, :640].astype(np.float32)
+    bent = cv2.remap(flat, u + bend_px * np.sin(v / 60).astype(np.float32), v, cv2.INTER_LINEAR)
+    if is_plane:
+        assert fit_scale(bent, BOARD).residual_rms_px < 5.0
+    else:
+        with pytest.raises(
+            CalibrationError, match=r"lie \d+ px \(RMS\) off the image of any plane; .* hold the board flat"
+        ):
+            fit_scale(bent, BOARD)

@@ -112,7 +112,7 @@ def test_a_smeared_disc_is_refined_over_its_whole_length(refinement):
 
 
 @pytest.mark.parametrize("polarity", ["bright", "dark"])
-def test_a_row_is_empty_beside_a_marker_exactly_where_a_search_finds_nothing_there(polarity):
+def test_a_row_is_empty_beside_a_marker_only_where_a_search_finds_nothing_there(polarity):
     rng = np.random.default_rng(1)
     meter, own, n_alone = SpotMeter(packaged_tracker(polarity=polarity)), 70.3, 0
     for _ in range(400):
@@ -122,13 +122,14 @@ def test_a_row_is_empty_beside_a_marker_exactly_where_a_search_finds_nothing_the
             width, height = rng.integers(1, 16, 2)
             x, y = rng.integers(55, 85), rng.integers(0, 25)
             image[y : y + height, x : x + width] = 200
-        background = 20.0
+        light = Light(meter.parameters, 20.0, 180.0, 1.0)
         if polarity == "dark":
-            image, background = 255 - image, 235.0
-        is_alone = meter.is_alone(image, background, 90.0, own)
+            image, light = 255 - image, Light(meter.parameters, 235.0, 180.0, 1.0)
+        relief = meter.relief(image)
+        is_alone = meter.is_alone(image, light, 90.0, own)
         n_alone += is_alone
         if is_alone:
-            assert all(abs(u - own) < meter.radius for u, _, _ in meter.centres(image, background, 90.0))
+            assert all(abs(place.u - own) < meter.radius for place in meter.centres(relief, 90.0))
     assert 40 < n_alone < 360
 
 
@@ -139,9 +140,12 @@ def test_a_camera_that_shows_noise_alone_costs_no_search_for_smears(monkeypatch)
     monkeypatch.setattr(spots, "smear_of", lambda *look: searches.append(look) or UNSMEARED)
     image = np.random.default_rng(1).integers(0, 256, (480, 640)).astype(np.uint8)
     meter = SpotMeter(packaged_tracker())
-    background, extreme = meter.levels(image)
-    places = meter.centres(image, background, 0.5 * (extreme - background))
-    found = [meter.candidate(image, u, v, background) for u, v, _ in places]
+    relief = meter.relief(image)
+    found = [
+        meter.candidate(image, place.u, place.v, place.ground)
+        for share in (0.4, 0.5, 0.6)
+        for place in meter.centres(relief, share * relief.most)
+    ]
     assert len(found) > 20
     assert not any(found)
     assert len(searches) <= 1

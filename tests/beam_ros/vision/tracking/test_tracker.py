@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from itertools import zip_longest
 
@@ -9,11 +10,13 @@ import pytest
 from scipy.special import ndtr
 
 from beam_ros.vision.errors import ImageFormatError, VisionParameterError
+from beam_ros.vision.measurement.measuring_chain import MeasuringChain
 from beam_ros.vision.parameters import CameraParameters
 from beam_ros.vision.rendering.disturbances import Disturbances, Glare, Occluder, SecondSpot
 from beam_ros.vision.rendering.frames import SceneRenderer
 from beam_ros.vision.timing import FrameTiming
 from beam_ros.vision.tracking.tracker import MarkerTracker
+from benchmarks import vision_guard
 from benchmarks.vision_scenes import Verdict, judge
 from tests.beam_ros.vision.packaged_rig import packaged_camera, packaged_tracker
 
@@ -666,6 +669,29 @@ def test_an_image_that_comes_again_tells_nothing_of_markers_that_move(times):
             assert {marker.reason for marker in result.markers} == {"repeated"}
 
 
+def test_a_region_changes_no_place_and_no_time():
+    camera = packaged_camera(noise_grey=2.0, readout_s=0.008)
+    renderer, timing, rng = SceneRenderer(camera, HEIGHTS), FrameTiming(camera), np.random.default_rng(3)
+    whole, part = (
+        MarkerTracker(packaged_tracker(camera, HEIGHTS, region_px=region), 3, timing)
+        for region in (None, (250.0, 390.5, 10.0, 479.0))
+    )
+    for k in range(20):
+        image = renderer.render(0.002 * np.sin(0.3 * k + np.arange(3)), rng)
+        one, other = (tracker.process(image, 10_000_000 * k).markers for tracker in (whole, part))
+        for a, b in zip(one, other, strict=True):
+            assert (b.u_px, b.v_px) == pytest.approx((a.u_px, a.v_px), abs=2e-3)
+            assert abs(b.stamp_ns - a.stamp_ns) < 100
+
+
+def test_an_image_without_room_for_the_region_says_so():
+    tracker = MarkerTracker(packaged_tracker(region_px=(250.0, 390.0, 0.0, 479.0)), 3)
+    with pytest.raises(
+        ImageFormatError, match=r"tracker\.region .* leaves 6 x 480; .* correct tracker\.region"
+    ):
+        tracker.process(np.zeros((480, 256), np.uint8), 0)
+
+
 @pytest.mark.parametrize("noise", [0.0, 2.0])
 def test_a_still_image_may_come_for_ever(noise):
     camera = packaged_camera(noise_grey=noise)
@@ -858,6 +884,68 @@ def test_scenes_of_the_benchmark_that_once_were_wrong_or_waited(kind, seed, most
     judge("suite", kind, seed, verdict)
     assert verdict.wrong == 0
     assert max(verdict.waits + verdict.ambiguous, default=0) <= most
+
+
+@pytest.mark.first_case
+@pytest.mark.parametrize(
+    ("kind", "seed", "least"),
+    [
+        ("label", 3, 1.0),  # 30 px wide: the ground ends where a smear might reach
+        ("label", 4, 1.0),
+        ("label", 13, 1.0),  # 23 px wide
+        ("bright_wall", 0, 1.0),
+        ("noisy_repeats", 2, 1.0),
+        ("noisy_repeats", 3, 1.0),
+        ("plain", 1, 1.0),
+        ("two_rigs", 0, 1.0),
+        ("clutter", 1, 1.0),
+    ],
+)
+def test_films_of_the_guard_are_seen_as_by_a_person(kind, seed, least):
+    found = vision_guard.row(kind, [seed], with_peer=False)
+    assert found["wrong"] == 0
+    assert found["valid"] >= least
+
+
+@pytest.mark.first_case
+@pytest.mark.parametrize(
+    ("kind", "seed"),
+    [("triangles", 0), ("square", 0), ("crosses", 1), ("triangles", 1), ("cut_dots", 1), ("square", 3)],
+)
+def test_what_is_no_disc_is_measured_by_its_centre_of_gravity_as_well_as_is_stated(kind, seed):
+    found = vision_guard.row(kind, [seed], with_peer=False)
+    assert (found["valid"], found["wrong"]) == (1.0, 0)
+    # As discs that they are not, four to five times too much was stated.
+    assert 0.6 < found["z"] < 1.3
+
+
+@pytest.mark.first_case
+@pytest.mark.parametrize(("kind", "seed"), [("pitched", 1), ("turned", 1), ("pitched", 0), ("turned", 0)])
+def test_dots_that_are_out_of_round_are_named_with_the_key_that_helps(kind, seed):
+    def film() -> vision_guard.Film:
+        return vision_guard.CLASSES[kind](np.random.default_rng(seed))
+
+    def measured(shown: vision_guard.Film) -> tuple[MeasuringChain, list[tuple[str, ...]]]:
+        chain = vision_guard.chain(shown)
+        pictures = zip(range(8), vision_guard.pictures(shown), strict=False)
+        return chain, [
+            chain.measure(10**18 + k * vision_guard.PERIOD_NS, picture).reasons for k, picture in pictures
+        ]
+
+    chain, reasons = measured(film())
+    assert set(reasons[-1]) == {"out_of_round"}
+    told = re.search(r"set tracker\.aspect to (\d\.\d+)", chain.aspect_doubt)
+    assert told is not None
+    # The width of the film's ellipse over its height, from its chords.
+    half_u = film().shape(np.zeros(1))[0][1][0]
+    low = np.linspace(0.0, 7.0, 70001)
+    half_v = low[np.ptp(film().shape(low)[0], axis=0) > 0][-1]
+    assert float(told[1]) == pytest.approx(half_u / half_v, rel=5e-3)
+    better = film()
+    better.settings["aspect"] = float(told[1])
+    chain, reasons = measured(better)
+    assert set(reasons[-1]) == {"ok"}
+    assert chain.aspect_doubt == ""
 
 
 @pytest.mark.slow
