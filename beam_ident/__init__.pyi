@@ -43,6 +43,8 @@ from beam_ident.estimators import EstimatorSettings as EstimatorSettings
 from beam_ident.estimators import estimator_meanings as estimator_meanings
 from beam_ident.estimators import find_estimator as find_estimator
 from beam_ident.estimators import run_estimator as run_estimator
+from beam_ident.evaluation.assumptions import Assumption as Assumption
+from beam_ident.evaluation.assumptions import assumptions as assumptions
 from beam_ident.evaluation.hold_out import OutputValidation as OutputValidation
 from beam_ident.evaluation.hold_out import ValidationResult as ValidationResult
 from beam_ident.evaluation.hold_out import validate as validate

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -27,9 +28,11 @@ from beam_ident.modal.model import ModalModel
 from beam_ident.modal_estimation.free_decay import end_of_rest, fit_free_decay
 from beam_ident.noise.scores import Whiteness, colour_warning
 from beam_ident.numerics.blas_threads import on_one_thread
+from beam_ident.quantities import with_uncertainty
 from beam_ident.sensing.damage import damage_warnings
 from beam_ident.sensing.misfit_causes import misfit_warnings
 from beam_ident.sensing.quantisation import clipped_warnings
+from beam_ident.summary import Summarised, SummaryPart, SummaryTable
 
 SCHEMA = 1
 
@@ -44,8 +47,8 @@ _LOWEST = 3.0  # standard deviations of the noise over a decay: below that no am
 _MIN_SAMPLES = 60
 
 
-@dataclass(frozen=True, eq=False)
-class AmplitudeCurves:
+@dataclass(frozen=True, eq=False, repr=False)
+class AmplitudeCurves(Summarised):
     """Instantaneous frequency and damping ratio of one mode over its amplitude.
 
     Attributes
@@ -107,20 +110,51 @@ class AmplitudeCurves:
     warnings: tuple[str, ...]
     third_harmonic: float = field(default=0.0, metadata=ADDED_LATER)
 
+    def summary_parts(self) -> list[SummaryPart]:
+        """Return the summary's tables and sentences."""
+        ends = (0, -1) if len(self.amplitudes) > 1 else (0,)
+        rows = (
+            (
+                f"{self.amplitudes[k]:.4g}",
+                with_uncertainty(float(self.frequencies_hz[k]), float(self.frequency_sd_hz[k])),
+                with_uncertainty(100.0 * float(self.damping_ratios[k]), 100.0 * float(self.damping_sd[k])),
+            )
+            for k in ends
+        )
+        return [
+            self.verdict,
+            SummaryTable(
+                (f"amplitude of {self.output_name} [{self.unit}]", "f [Hz]", "zeta [%]"), tuple(rows)
+            ),
+            *(f"warning: {said}" for said in self.warnings),
+        ]
+
     def frequency_hz_at(self, amplitude: ArrayLike) -> FloatArray:
-        """Return the frequency at amplitudes [``unit``], which had better lie within ``amplitudes`` [Hz]."""
-        return self._ringing(amplitude)[0] / (2.0 * np.pi)
+        """Return the frequency at amplitudes [``unit``]; NaN, with a warning, outside those of the decays [Hz]."""
+        return np.asarray(self._ringing(amplitude)[0] / (2.0 * np.pi))
 
     def damping_ratio_at(self, amplitude: ArrayLike) -> FloatArray:
-        """Return the damping ratio at amplitudes [``unit``], which had better lie within ``amplitudes``."""
-        return self._ringing(amplitude)[1]
+        """Return the damping ratio at amplitudes [``unit``]; NaN, with a warning, outside those of the decays."""
+        return np.asarray(self._ringing(amplitude)[1])
 
-    def _ringing(self, amplitude: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        maxima = np.asarray(amplitude, dtype=np.float64) / self.reference_amplitude
-        omega, zeta = ringing(
-            self.frequency_coefficients, self.rate_coefficients, self.third_harmonic, maxima.ravel()
+    def _ringing(self, amplitude: ArrayLike) -> FloatArray:
+        """Return frequencies [rad/s] and damping ratios, (2, *shape of the amplitudes)."""
+        asked = np.asarray(amplitude, dtype=np.float64)
+        known = np.asarray((asked >= self.amplitudes[0]) & (asked <= self.amplitudes[-1]))
+        if not np.all(known):
+            warnings.warn(
+                f"amplitudes outside {self.amplitudes[0]:.4g} to {self.amplitudes[-1]:.4g} {self.unit}, which the "
+                "decays show: NaN is returned there. Measure a decay that reaches them",
+                stacklevel=3,
+            )
+        found = np.full((2, asked.size), np.nan)
+        found[:, known.ravel()] = ringing(
+            self.frequency_coefficients,
+            self.rate_coefficients,
+            self.third_harmonic,
+            asked[known] / self.reference_amplitude,
         )
-        return omega.reshape(maxima.shape), zeta.reshape(maxima.shape)
+        return found.reshape(2, *asked.shape)
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as plain lists and numbers, from which it is rebuilt exactly (also through JSON)."""

@@ -32,6 +32,7 @@ from beam_ident.modal.structure import ModalStructure
 from beam_ident.modal_estimation.input_disturbance import DisturbanceFilter
 from beam_ident.noise.input_noise import Smoothing
 from beam_ident.numerics.blas_threads import on_one_thread
+from beam_ident.summary import Summarised, SummaryPart
 
 LEVEL = 0.05
 _BLOCKS = 40
@@ -78,8 +79,8 @@ class ModeLinearity:
         )
 
 
-@dataclass(frozen=True)
-class Linearity:
+@dataclass(frozen=True, repr=False)
+class Linearity(Summarised):
     """The verdict on the modes of one identification.
 
     Attributes
@@ -90,6 +91,10 @@ class Linearity:
 
     modes: tuple[ModeLinearity, ...]
     p_value: float
+
+    def summary_parts(self) -> list[SummaryPart]:
+        """Return the summary's tables and sentences."""
+        return [self.verdict]
 
     @property
     def is_linear(self) -> bool:

@@ -30,8 +30,7 @@ def noisy_band_hz(regression: ModalRegression, model: ModalModel) -> float | Non
         return None
     if not max(float(np.max(noise_shares(model, drive))) for drive in drives) > NEGLIGIBLE_SHARE:
         return None
-    structure = regression.structure
-    power = structure.differentiations if structure.is_motion else 0
+    power = regression.structure.driving_power
     return max(
         excited_band(drive, power, regression.duration_s, regression.rate_hz).high_hz for drive in drives
     )

@@ -11,6 +11,7 @@ import numpy as np
 from beam_ident.arrays import FloatArray
 from beam_ident.data.stored_form import ADDED_LATER, read, require_shapes, written
 from beam_ident.errors import EstimationError
+from beam_ident.summary import Summarised, SummaryPart, SummaryTable
 
 SCHEMA = 1
 
@@ -82,8 +83,8 @@ class AxisCheck:
         return f"{words}; no force is seen that the model lacks"
 
 
-@dataclass(frozen=True, eq=False)
-class AxisResult:
+@dataclass(frozen=True, eq=False, repr=False)
+class AxisResult(Summarised):
     """Mass and friction of a driven axis.
 
     Attributes
@@ -201,26 +202,22 @@ class AxisResult:
             return self.value("offset")
         return self.known_offset + 0.5 * self.value("coulomb_difference")
 
-    def summary(self) -> str:
+    def summary_parts(self) -> list[SummaryPart]:
         """Return a table of the parameters with standard deviations and 95 % intervals, and what to know of them."""
-        rows = [("", "estimate", "sd", "95 % from", "to")]
+        rows = []
         for name, unit, value, sd in zip(
             self.names, self.units, self.estimates, self.standard_deviations, strict=True
         ):
             ends = f"{value - 1.96 * sd:.6g}", f"{value + 1.96 * sd:.6g}"
             rows.append((f"{meaning_of(name)} [{unit}]", f"{value:.6g}", f"{sd:.2g}", *ends))
-        label, *numbers = (max(map(len, column)) for column in zip(*rows, strict=True))
-        lines = []
-        for first, *cells in rows:
-            told = [f"{cell:>{width}}" for cell, width in zip(cells, numbers, strict=True)]
-            lines.append("  ".join([f"{first:{label}}", *told]))
-        lines.append(
-            f"{self.method.replace('_', ' ')}, {self.n_samples} positions in {self.n_pieces} stretches of motion"
-        )
-        if self.drive_verdict:
-            lines.append(self.drive_verdict)
-        lines.append(self.check.verdict)
-        return "\n".join([*lines, *(f"note: {warning}" for warning in self.warnings)])
+        by = f"{self.method.replace('_', ' ')}, {self.n_samples} positions in {self.n_pieces} stretches of motion"
+        return [
+            SummaryTable(("", "estimate", "sd", "95 % from", "to"), tuple(rows)),
+            by,
+            *([self.drive_verdict] if self.drive_verdict else []),
+            self.check.verdict,
+            *(f"note: {warning}" for warning in self.warnings),
+        ]
 
     @property
     def is_compliant(self) -> bool:

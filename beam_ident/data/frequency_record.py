@@ -26,6 +26,7 @@ import numpy as np
 from beam_ident.arrays import AnyArray, ComplexArray, FloatArray, IndexArray
 from beam_ident.data.stored_form import ADDED_LATER, read, written
 from beam_ident.errors import RecordError
+from beam_ident.summary import Summarised, SummaryPart
 
 SCHEMA = 2
 TAIL_POWERS = (-2, -1, 0, 1, 2)
@@ -95,8 +96,8 @@ class ResponseSeries:
         return np.asarray(self.omegas / (2.0 * np.pi))
 
 
-@dataclass(frozen=True, eq=False)
-class FrequencyRecord:
+@dataclass(frozen=True, eq=False, repr=False)
+class FrequencyRecord(Summarised):
     """Responses of every output to every input at discrete lines.
 
     Parameters
@@ -162,6 +163,15 @@ class FrequencyRecord:
             self._refuse("folding needs one input and one row for every line")
         object.__setattr__(self, "warnings", tuple(self.warnings))
         self._complete_names(shape)
+
+    def summary_parts(self) -> list[SummaryPart]:
+        """Return the summary's tables and sentences."""
+        hertz = self.omegas / (2.0 * np.pi)
+        return [
+            f"{self.name}: {', '.join(self.input_names)} -> {', '.join(self.output_names)}",
+            f"{len(hertz)} lines from {hertz[0]:.6g} to {hertz[-1]:.6g} Hz, {self.method}",
+            *(f"warning: {said}" for said in self.warnings),
+        ]
 
     def _check(self, omegas: AnyArray, response: AnyArray) -> None:
         """Refuse lines, a response and numbers that are none."""

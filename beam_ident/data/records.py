@@ -21,6 +21,7 @@ from beam_ident.arrays import AnyArray, FloatArray
 from beam_ident.data.gaps import InputGap, bridged, on_every_stamp
 from beam_ident.errors import RecordError
 from beam_ident.numerics.piecewise import HOLDS, Hold, Instants, PiecewisePolynomial, regular_period
+from beam_ident.summary import Summarised, SummaryPart, SummaryTable
 
 _STEPS_A_LAG = 8.0  # of a low-pass: samples between which a spline is what it shows
 _MOST_STEPS = 16  # between two samples of an input
@@ -357,8 +358,8 @@ class OutputSignal:
         return replace(self, times_s=self.times_s[keep], values=self.values[keep])
 
 
-@dataclass(frozen=True, eq=False)
-class TimeRecord:
+@dataclass(frozen=True, eq=False, repr=False)
+class TimeRecord(Summarised):
     """One experiment: inputs and outputs on one time axis.
 
     Parameters
@@ -410,6 +411,24 @@ class TimeRecord:
                         f"{output.times_s[-1]:.3f} s and input {drive.name!r} {first:.3f} to {last:.3f} s: "
                         "they do not overlap. Check that both use the same clock"
                     )
+
+    def summary_parts(self) -> list[SummaryPart]:
+        """Return the summary's tables and sentences."""
+        rows = []
+        for role, signal in [("input", own) for own in self.inputs] + [
+            ("output", own) for own in self.outputs
+        ]:
+            times, values = signal.times_s, signal.values
+            period = float(np.median(np.diff(times))) if len(times) > 1 else math.nan
+            span = f"{times[0]:.6g} to {times[-1]:.6g}"
+            size = f"{float(np.nanmin(values)):.4g} to {float(np.nanmax(values)):.4g}"
+            rows.append((signal.name, role, signal.unit, str(len(values)), f"{1.0 / period:.6g}", span, size))
+        return [
+            f"{self.name}:",
+            SummaryTable(
+                ("signal", "role", "unit", "samples", "rate [Hz]", "time [s]", "values"), tuple(rows)
+            ),
+        ]
 
     @staticmethod
     def from_arrays(

@@ -245,8 +245,7 @@ def _whiten(
             own /= sd
         return
     structure, drive = regression.structure, replace(regression.drives[0], sigma=observation.input_sd)
-    differentiations = structure.differentiations if structure.is_motion else 0
-    band = excited_band(drive, differentiations, regression.duration_s, regression.rate_hz)
+    band = excited_band(drive, structure.driving_power, regression.duration_s, regression.rate_hz)
     disturbance = InputDisturbance(
         drive,
         structure,

@@ -136,8 +136,7 @@ def line_information(
     blur = np.sinc(omegas.ravel() * observation.exposure_s / (2.0 * np.pi))
     per_noise = blur[:, None] / observation.noise_of(model.output_names)
     slopes *= per_noise[:, :, None]
-    structure = ModalStructure(model.structure)
-    power = structure.differentiations if structure.is_motion else 0
+    power = ModalStructure(model.structure).driving_power
     passed = response_to_drive(model, omegas.ravel()) * (omegas.ravel() ** power)[:, None] * per_noise
     passed *= observation.input_sd * math.sqrt(limits.period_s * observation.rate_hz)
     size = np.maximum(np.sum(np.abs(passed) ** 2, axis=1), 1e-300)

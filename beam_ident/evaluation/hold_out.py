@@ -28,6 +28,7 @@ from beam_ident.noise.record_fit import in_units_of_level, pooled_scores
 from beam_ident.noise.scores import InputCorrelation, Scores, Whiteness
 from beam_ident.numerics.blas_threads import on_one_thread
 from beam_ident.numerics.linear_least_squares import LinearSolution
+from beam_ident.summary import Summarised, SummaryPart, SummaryTable
 from beam_ident.transfer_function.model import TransferFunctionModel
 from beam_ident.transfer_function.multi_input_model import MultiInputModel
 
@@ -78,8 +79,8 @@ class OutputValidation:
     verdict: str
 
 
-@dataclass(frozen=True, eq=False)
-class ValidationResult:
+@dataclass(frozen=True, eq=False, repr=False)
+class ValidationResult(Summarised):
     """A model against other records, output by output.
 
     Attributes
@@ -92,6 +93,19 @@ class ValidationResult:
     outputs: tuple[OutputValidation, ...]
     records: tuple[ValidationResult, ...] = ()
     clock_jumps: tuple[ClockJump, ...] = ()
+
+    def summary_parts(self) -> list[SummaryPart]:
+        """Return the summary's tables and sentences."""
+        rows = (
+            (
+                own.name,
+                f"{own.scores.fit_percent:.3f}",
+                f"{own.simulation_scores.fit_percent:.3f}",
+                own.verdict,
+            )
+            for own in self.outputs
+        )
+        return [SummaryTable(("output", "FIT [%]", "from rest [%]", "verdict"), tuple(rows))]
 
     def output(self, name: str) -> OutputValidation:
         """Return the validation of one output by its name."""

@@ -40,6 +40,9 @@ class ModalFit:
         Of every output what its noise was taken for in every record, empty for white; none with equal weights.
     spreads : tuple of ndarray
         Of every output the noise of its rows over that of all; none where it is the same for all.
+    innovations : tuple of ndarray
+        Of every output what the weights make of its residuals: white, and no output's that of another, where the
+        noise is what it was taken for; none with equal weights.
     """
 
     omegas: FloatArray
@@ -59,6 +62,7 @@ class ModalFit:
     iterations: int
     noises: tuple[tuple[str, ...], ...] = ()
     spreads: tuple[FloatArray, ...] = ()
+    innovations: tuple[FloatArray, ...] = ()
 
     @property
     def n_parameters(self) -> int:

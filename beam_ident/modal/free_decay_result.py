@@ -11,13 +11,15 @@ import numpy as np
 from beam_ident.arrays import ComplexArray, FloatArray
 from beam_ident.data.stored_form import read, require_shapes, written
 from beam_ident.modal.identification_result import OrderEntry
+from beam_ident.modal.mode_values import ModeValues
 from beam_ident.noise.scores import Scores, Whiteness
+from beam_ident.summary import Summarised, SummaryPart, modes_table, result_parts
 
 SCHEMA = 2
 
 
-@dataclass(frozen=True, eq=False)
-class FreeDecay:
+@dataclass(frozen=True, eq=False, repr=False)
+class FreeDecay(Summarised, ModeValues):
     """Modes of a free decay.
 
     Attributes
@@ -63,10 +65,10 @@ class FreeDecay:
     iterations: int
     warnings: tuple[str, ...]
 
-    @property
-    def frequencies_hz(self) -> FloatArray:
-        """Natural frequencies [Hz]."""
-        return np.asarray(self.natural_frequencies / (2.0 * np.pi))
+    def summary_parts(self) -> list[SummaryPart]:
+        """Return the summary's tables and sentences."""
+        table = modes_table(*self.modes())
+        return [table, *result_parts(self, (), self.output_names)]
 
     @property
     def logarithmic_decrements(self) -> FloatArray:

@@ -15,6 +15,7 @@ from beam_ident.modal.structure import ModalStructure
 from beam_ident.noise.line_misfit import LineMisfit
 from beam_ident.noise.record_fit import OverOutputs, RecordFit
 from beam_ident.noise.scores import Scores, Whiteness
+from beam_ident.summary import Summarised, SummaryPart, modes_table, result_parts
 
 
 @dataclass(frozen=True)
@@ -121,8 +122,8 @@ class FrequencyChange:
         )
 
 
-@dataclass(frozen=True, eq=False)
-class IdentificationResult(OverOutputs):
+@dataclass(frozen=True, eq=False, repr=False)
+class IdentificationResult(Summarised, OverOutputs):
     """A modal model and what is to be known about its estimation.
 
     Attributes
@@ -155,6 +156,11 @@ class IdentificationResult(OverOutputs):
     clock_jumps: tuple[ClockJump, ...] = ()
     frequency_changes: tuple[FrequencyChange, ...] = ()
 
+    def summary_parts(self) -> list[SummaryPart]:
+        """Return the summary's tables and sentences."""
+        model, *rest = result_parts(self, (self.model,), self.model.output_names)
+        return [model, modes_table(*self.model.modes(), self.doubts), *rest[1:]]
+
     def output(self, name: str) -> OutputFit:
         """Return the fit of one output by its name."""
         for output in self.outputs:
@@ -179,8 +185,8 @@ class IdentificationResult(OverOutputs):
         return replace(self, model=model, outputs=outputs, clock_jumps=jumps)
 
 
-@dataclass(frozen=True, eq=False)
-class FrequencyDomainResult:
+@dataclass(frozen=True, eq=False, repr=False)
+class FrequencyDomainResult(Summarised):
     """A modal model from frequency data.
 
     Attributes
@@ -205,6 +211,10 @@ class FrequencyDomainResult:
     reason: str
     iterations: int
     warnings: tuple[str, ...]
+
+    def summary_parts(self) -> list[SummaryPart]:
+        """Return the summary's tables and sentences."""
+        return result_parts(self, (self.model,), self.model.output_names)
 
     @property
     def residuals(self) -> tuple[ComplexArray, ...]:

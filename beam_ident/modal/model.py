@@ -24,6 +24,7 @@ from beam_ident.data.records import InputSignal, LowPass
 from beam_ident.data.stored_form import checked_entries, complaints_about, names_of, plain, require_shapes
 from beam_ident.errors import EstimationError, ModelFormatError
 from beam_ident.modal.frequency_response import ModalFrequencyResponse
+from beam_ident.modal.mode_values import ModeValues
 from beam_ident.modal.realisation import (
     modal_state_space,
     modal_step_response,
@@ -32,12 +33,13 @@ from beam_ident.modal.realisation import (
 )
 from beam_ident.modal.regression import ClockState, forced_columns
 from beam_ident.modal.structure import ModalStructure, StructureKind
+from beam_ident.summary import Summarised, SummaryPart, estimates_table, modes_table
 
 SCHEMA = 1
 
 
-@dataclass(frozen=True, eq=False)
-class ModalModel:
+@dataclass(frozen=True, eq=False, repr=False)
+class ModalModel(Summarised, ModeValues):
     """A sum of second-order modes with common poles over all outputs, and over all inputs where there are several.
 
     Attributes
@@ -132,6 +134,23 @@ class ModalModel:
         several = f", {len(self.input_names)} inputs" if self.further_inputs else ""
         require_shapes(f"modal model of {n} modes{several} and {m} outputs", self, shapes)
         self._require_parameters()
+
+    def summary_parts(self) -> list[SummaryPart]:
+        """Return the summary's tables and sentences."""
+        parts: list[SummaryPart] = [
+            f"{', '.join(self.input_names)} -> {', '.join(self.output_names)} ({self.structure})",
+            modes_table(*self.modes()),
+        ]
+        clock = {
+            "latency [s]": (self.latency, self.latency_sd),
+            "clock rate": (self.clock_rate, self.clock_rate_sd),
+        }
+        for name, delay, sd in zip(self.output_names, self.output_delays, self.output_delay_sd, strict=True):
+            clock[f"{name} later [s]"] = float(delay), float(sd)
+        known = {name: pair for name, pair in clock.items() if any(pair)}
+        if known:
+            parts.append(estimates_table(list(known), *np.array(list(known.values())).T))
+        return parts
 
     def _require_parameters(self) -> None:
         """Raise ModelFormatError for an unknown structure, or for numbers that describe no modes."""
@@ -237,17 +256,6 @@ class ModalModel:
         return np.asarray(self.gain_sd * self.rigid_body_mass**2)
 
     @property
-    def frequencies_hz(self) -> FloatArray:
-        """Natural frequencies [Hz]."""
-        return np.asarray(self.natural_frequencies / (2.0 * np.pi))
-
-    @property
-    def poles(self) -> ComplexArray:
-        """Upper poles [rad/s], shape (n_modes,)."""
-        omega, zeta = self.natural_frequencies, self.damping_ratios
-        return np.asarray(omega * (-zeta + 1j * np.sqrt(1.0 - zeta**2)))
-
-    @property
     def parameters(self) -> FloatArray:
         """All parameters in the order of ``parameter_names``."""
         parts = [self.natural_frequencies, self.damping_ratios, [self.latency, self.clock_rate]]
@@ -273,15 +281,6 @@ class ModalModel:
     def damping_ratio_sd(self) -> FloatArray:
         """Standard deviations of the damping ratios."""
         return self._sd(self.n_modes, self.n_modes)
-
-    def modes(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Return natural frequencies [rad/s], damping ratios and the standard deviations of both."""
-        return (
-            self.natural_frequencies,
-            self.damping_ratios,
-            self.natural_frequency_sd,
-            self.damping_ratio_sd,
-        )
 
     @property
     def latency_sd(self) -> float:

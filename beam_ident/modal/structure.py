@@ -105,6 +105,11 @@ class ModalStructure:
         return self.kind in ("base_motion", "velocity", "acceleration")
 
     @property
+    def driving_power(self) -> int:
+        """Power of s by which the input becomes what drives the modes: an acceleration of the base, or a force."""
+        return self.differentiations if self.is_motion else 0
+
+    @property
     def is_test(self) -> bool:
         """Whether force and motion are what a vibration test measures, by one instrument with one clock."""
         return self.kind in ("receptance", "mobility", "accelerance")

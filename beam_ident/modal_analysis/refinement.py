@@ -30,6 +30,7 @@ from beam_ident.data.prior import Prior
 from beam_ident.data.stored_form import read, require_shapes, written
 from beam_ident.errors import EstimationError
 from beam_ident.modal.fit import ModalFit
+from beam_ident.modal.mode_values import ModeValues
 from beam_ident.modal.regression import ClockState
 from beam_ident.modal.stacked_regression import ColumnBasis, Columns, Part, StackedRegression
 from beam_ident.modal_analysis.shapes import modal_assurance, normalised, phase_collinearity
@@ -41,6 +42,7 @@ from beam_ident.noise.line_misfit import UNKNOWN_NOISE, LineMisfit, weighting_lo
 from beam_ident.noise.line_weights import line_weights, stacked_values
 from beam_ident.numerics.blas_threads import on_one_thread
 from beam_ident.sensing.line_causes import FittedLines, line_causes
+from beam_ident.summary import Summarised, SummaryPart, modes_table, result_parts
 
 SCHEMA = 2
 
@@ -49,8 +51,8 @@ _ALIKE = 1e-6  # chance below which residuals are called alike
 _UNCERTAIN = 0.3  # relative standard deviation of a damping ratio beyond which it says little
 
 
-@dataclass(frozen=True, eq=False)
-class ModalAnalysis:
+@dataclass(frozen=True, eq=False, repr=False)
+class ModalAnalysis(Summarised, ModeValues):
     """Modes of a structure from its frequency responses.
 
     Attributes
@@ -103,21 +105,15 @@ class ModalAnalysis:
     iterations: int
     warnings: tuple[str, ...]
 
+    def summary_parts(self) -> list[SummaryPart]:
+        """Return the summary's tables and sentences."""
+        table = modes_table(*self.modes())
+        return [table, *result_parts(self, (), ())]
+
     @property
     def residuals(self) -> ComplexArray:
         """Responses less what the modes say, shape (n_lines, n_outputs, n_inputs)."""
         return np.asarray(self.record.response - self.modelled)
-
-    @property
-    def frequencies_hz(self) -> FloatArray:
-        """Natural frequencies [Hz]."""
-        return np.asarray(self.natural_frequencies / (2.0 * np.pi))
-
-    @property
-    def poles(self) -> ComplexArray:
-        """Upper poles [rad/s]."""
-        omega, zeta = self.natural_frequencies, self.damping_ratios
-        return np.asarray(omega * (-zeta + 1j * np.sqrt(1.0 - zeta**2)))
 
     @property
     def assurance(self) -> FloatArray:

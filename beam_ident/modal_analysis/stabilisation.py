@@ -26,6 +26,7 @@ from beam_ident.modal_analysis.polyreference import (
 )
 from beam_ident.modal_analysis.shapes import modal_assurance
 from beam_ident.numerics.blas_threads import on_one_thread
+from beam_ident.summary import Summarised, SummaryPart, SummaryTable
 
 ResponseForm = Literal["receptance", "mobility", "accelerance"]
 DIFFERENTIATIONS: dict[str, int] = {"receptance": 0, "mobility": 1, "accelerance": 2}
@@ -72,8 +73,8 @@ class ChartPole:
     stability: int
 
 
-@dataclass(frozen=True, eq=False)
-class StabilisationChart:
+@dataclass(frozen=True, eq=False, repr=False)
+class StabilisationChart(Summarised):
     """Poles over orders, with the mode indicator and the modes that were chosen.
 
     Attributes
@@ -94,6 +95,15 @@ class StabilisationChart:
     natural_frequencies: FloatArray
     damping_ratios: FloatArray
     lasting: IndexArray
+
+    def summary_parts(self) -> list[SummaryPart]:
+        """Return the summary's tables and sentences."""
+        rows = zip(self.frequencies_hz, self.damping_ratios, self.lasting, strict=True)
+        cells = ((f"{hertz:.6g}", f"{100.0 * zeta:.4g}", str(orders)) for hertz, zeta, orders in rows)
+        return [
+            f"{len(self.poles)} poles over all orders; modes that last:",
+            SummaryTable(("f [Hz]", "zeta [%]", "orders"), tuple(cells)),
+        ]
 
     @property
     def frequencies_hz(self) -> FloatArray:

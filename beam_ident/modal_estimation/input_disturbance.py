@@ -19,7 +19,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -398,13 +398,14 @@ def _runs(kinds: IndexArray) -> list[tuple[int, int]]:
 
 
 @dataclass(frozen=True, eq=False)
-class _Gains:
-    """What one step of (I.16) does with the outputs that are seen."""
+class _Pattern:
+    """Outputs that are seen at once, and what steps of (I.16) make of them."""
 
     selected: IndexArray
-    observed: FloatArray  # O, their rows
-    inverse: FloatArray  # G^-1
-    scaled: FloatArray  # P O^T G^-T
+    rows: FloatArray  # of O
+    noise: FloatArray  # of what passes at once, and of their own
+    shared: FloatArray  # of it with the states
+    gains: list[tuple[int, FloatArray, FloatArray]] = field(default_factory=list)  # number, G^-1, P O^T G^-T
 
 
 class DisturbanceFilter:
@@ -431,9 +432,9 @@ class DisturbanceFilter:
         if scatter is not None:
             is_same[1:] &= np.all(scatter[1:] == scatter[:-1], axis=1)
         changes = np.flatnonzero(~is_same)
-        patterns: dict[bytes, tuple[IndexArray, FloatArray, FloatArray, FloatArray]] = {}
+        patterns: dict[bytes, _Pattern] = {}
         # Every step has its gains; once they have settled on a regular grid they are kept.
-        self._gains: list[_Gains] = []
+        n_gains = 0
         self._gain_of = np.empty(n, dtype=np.intp)
         self._known_parts: dict[tuple[int, int], list[tuple[int, int]]] = {}
         self._recursions: dict[tuple[int, int], StateRecursion] = {}
@@ -446,11 +447,12 @@ class DisturbanceFilter:
                 rows = observation[selected]
                 both = rows @ shared[:, selected]
                 own = noise[np.ix_(selected, selected)] + both + both.T
-                patterns[pattern] = selected, rows, own, shared[:, selected]
-            selected, rows, own, same = patterns[pattern]
+                patterns[pattern] = _Pattern(selected, rows, own, shared[:, selected])
+            now = patterns[pattern]
+            rows, own = now.rows, now.noise
             if scatter is not None:
                 # An error of the stamp moves what all outputs show by their speeds: R of (I.26).
-                own = own + np.outer(scatter[k, selected], scatter[k, selected])
+                own = own + np.outer(scatter[k, now.selected], scatter[k, now.selected])
             before = covariance
             transition = transitions[kinds[k]]
             covariance = transition @ covariance @ transition.T + driven[kinds[k]]
@@ -462,27 +464,39 @@ class DisturbanceFilter:
                 covariance = _raised(covariance, 0.0)
                 carried = covariance @ rows.T
                 lower = lapack.dpotrf(_raised(rows @ carried + own, _ROUNDING), lower=1)[0]
-            carried = carried + same
+            carried = carried + now.shared
             inverse = lapack.dtrtri(lower, lower=1)[0]
             scaled = carried @ inverse.T
             covariance = covariance - scaled @ scaled.T
             if failed:
                 covariance = _raised(covariance, 0.0)
-            self._gain_of[k] = len(self._gains)
-            self._gains.append(_Gains(selected, rows, inverse, scaled))
+            now.gains.append((n_gains, inverse, scaled))
+            self._gain_of[k] = n_gains
+            n_gains += 1
             if is_same[k] and abs(covariance - before).max() <= _SETTLED * abs(covariance).max():
                 following = np.searchsorted(changes, k, side="right")
                 last = int(changes[following]) if following < len(changes) else n
-                self._gain_of[k:last] = len(self._gains) - 1
+                self._gain_of[k:last] = n_gains - 1
                 k = last
             else:
                 k += 1
+        # O, G^-1 and P O^T G^-T of every gain; zero for outputs that are not seen.
+        self._observed = np.zeros((n_gains, *observation.shape))
+        self._inverse = np.zeros((n_gains, *noise.shape))
+        self._scaled = np.zeros((n_gains, *shared.shape))
+        self._logarithms = np.empty(n_gains)
+        for one in patterns.values():
+            numbers, inverses, scaleds = zip(*one.gains, strict=True)
+            places = np.array(numbers)[:, None]
+            self._observed[places, one.selected] = one.rows
+            self._inverse[places[:, :, None], one.selected[:, None], one.selected] = inverses
+            self._scaled[places[:, :, None], np.arange(size)[:, None], one.selected] = scaleds
+            self._logarithms[places[:, 0]] = -np.log(np.diagonal(inverses, axis1=1, axis2=2)).sum(axis=1)
 
     @property
     def log_determinant(self) -> float:
         """Logarithm of the determinant of what ``whiten`` divides by."""
-        of_steps = [-float(np.sum(np.log(np.diag(gains.inverse)))) for gains in self._gains]
-        return float(np.sum(np.array(of_steps)[self._gain_of]))
+        return float(np.sum(self._logarithms[self._gain_of]))
 
     def whiten(
         self,
@@ -535,17 +549,8 @@ class DisturbanceFilter:
         numbers, kinds = self._gain_of[first:last], self._kinds[first:last]
         if np.all(numbers == numbers[0]) and np.all(kinds == kinds[0]):
             numbers, kinds = numbers[:1], kinds[:1]
-        size, n_outputs = self._transitions.shape[1], self.observations.rows.shape[1]
-        inverse = np.zeros((len(numbers), n_outputs, n_outputs))
-        observed = np.zeros((len(numbers), n_outputs, size))
-        scaled = np.zeros((len(numbers), size, n_outputs))
-        for k, number in enumerate(numbers):
-            gains = self._gains[number]
-            inverse[k][np.ix_(gains.selected, gains.selected)] = gains.inverse
-            observed[k, gains.selected] = gains.observed
-            scaled[k][:, gains.selected] = gains.scaled
-        transitions = self._transitions[kinds]
-        seen = inverse @ observed @ transitions
+        inverse, scaled, transitions = self._inverse[numbers], self._scaled[numbers], self._transitions[kinds]
+        seen = inverse @ self._observed[numbers] @ transitions
         found = StateRecursion(transitions - scaled @ seen, scaled @ inverse, -seen, inverse)
         if len(self._gain_of) <= _KEPT:
             self._recursions[first, last] = found

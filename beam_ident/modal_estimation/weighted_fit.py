@@ -711,7 +711,16 @@ class WeightedFit:
             )
             or self._said_of_stamps(),
             spreads=self._spreads(),
+            innovations=linear.innovations if left is None else self._unshared(left, linear.innovations),
             iterations=self.fit.iterations + steps,
+        )
+
+    @staticmethod
+    def _unshared(noise: SharedNoise, innovations: Sequence[FloatArray]) -> tuple[FloatArray, ...]:
+        """Return innovations without what outputs share."""
+        columns = [own[:, None] for own in innovations]
+        return tuple(
+            own[:, 0] for own in noise.unshared(columns, [slice(0, len(own)) for own in innovations])
         )
 
     def _said(self, output: int, noise: RecordNoise) -> str:

@@ -1,9 +1,10 @@
 """How late outputs are, to a few hundredths of a second, from phases alone: where a search for clocks may begin.
 
 A delay turns the phase of every line of a spectrum in proportion to its frequency, while modes turn it by half a turn
-at a few lines only.  So the inverse transform of the phases of ``Y conj(U)``, all lines alike, has its peak at the
-delay, whatever the modes are (the generalised cross-correlation with phase transform; Knapp and Carter, IEEE
-Transactions on Acoustics, Speech, and Signal Processing 24, 1976).
+at a few lines only.  So the inverse transform of the phases of ``Y conj(U)`` has its peak at the delay, whatever the
+modes are (the generalised cross-correlation with phase transform; Knapp and Carter, IEEE Transactions on Acoustics,
+Speech, and Signal Processing 24, 1976).  There all lines count alike; here they count as far as the input drives
+modes at them, for elsewhere a spectrum shows little but when its signal begins and ends.
 """
 
 from __future__ import annotations
@@ -23,13 +24,17 @@ _NEXT = 2.0  # times the power of what is farther away than a peak is wide
 _WIDE = 4.0  # periods of the fastest line to either side
 
 
-def coarse_delays(records: Sequence[TimeRecord], input_name: str, near_s: float = 0.0) -> dict[str, float]:
+def coarse_delays(
+    records: Sequence[TimeRecord], input_name: str, driving_power: int, near_s: float = 0.0
+) -> dict[str, float]:
     """Return by how much the outputs are late that show it without a doubt, by name [s].
 
     Parameters
     ----------
     records : sequence of TimeRecord
     input_name : str
+    driving_power : int
+        Power of s by which the input becomes what drives modes.
     near_s : float
         What a search from here finds anyway: a second peak as near is no doubt, as a ringing mode has several.
 
@@ -52,7 +57,7 @@ def coarse_delays(records: Sequence[TimeRecord], input_name: str, near_s: float 
             continue
         powers = np.zeros(2 * n_lags + 1)
         for record in with_it:
-            powers += np.square(_phase_correlation(record, input_name, name, step, n_lags))
+            powers += np.square(_phase_correlation(record, input_name, name, step, driving_power, n_lags))
         place = int(np.argmax(powers))
         width = max(round(_WIDE * _PER_CYCLE), round(near_s / step))
         others = np.delete(powers, slice(max(place - width, 0), place + width + 1))
@@ -74,9 +79,9 @@ def _step(record: TimeRecord, name: str) -> float:
 
 
 def _phase_correlation(
-    record: TimeRecord, input_name: str, name: str, step: float, n_lags: int
+    record: TimeRecord, input_name: str, name: str, step: float, driving_power: int, n_lags: int
 ) -> FloatArray:
-    """Return the correlation of an output with the input at lags from -n to n steps, all lines of equal weight."""
+    """Return the correlation of an output with the input at lags from -n to n steps, by the phases of their lines."""
     drive, output = record.input(input_name), record.output(name)
     seen = output.is_valid
     first, last = drive.span_s
@@ -85,9 +90,14 @@ def _phase_correlation(
     u = _without_line(np.interp(grid, drive.times_s, drive.values))
     y = _without_line(np.interp(grid, output.times_s[seen], output.values[seen]))
     size = 2 ** int(np.ceil(np.log2(2 * len(grid))))
-    cross = np.fft.rfft(y, size) * np.conj(np.fft.rfft(u, size))
-    cross[np.fft.rfftfreq(size) > 1.0 / _PER_CYCLE] = 0.0  # of a step: above, an output shows aliases
-    correlation = np.fft.irfft(cross / np.maximum(np.abs(cross), 1e-300), size)
+    lines = np.fft.rfftfreq(size)
+    is_seen = lines <= 1.0 / _PER_CYCLE  # of a step: above, an output shows aliases
+    drive_lines = np.fft.rfft(u, size)
+    cross = np.fft.rfft(y, size) * np.conj(drive_lines)
+    # A line that drives modes as much as lines do on average counts half of one that drives them much more.
+    driving = np.square(np.abs(drive_lines) * lines**driving_power) * is_seen
+    driving /= driving + max(float(np.mean(driving[is_seen])), 1e-300)
+    correlation = np.fft.irfft(driving * cross / np.maximum(np.abs(cross), 1e-300), size)
     return np.asarray(np.concatenate([correlation[-n_lags:], correlation[: n_lags + 1]]))
 
 

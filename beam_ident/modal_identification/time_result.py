@@ -188,6 +188,7 @@ class Findings:
                 ramp=float(found[own + int(structure.has_offset)]) if structure.has_ramp else 0.0,
                 noise=noise,
                 spread=spread[part],
+                innovations=fit.innovations[j][part] if fit.innovations else np.empty(0),
             )
             for (index, part), own, noise in zip(regression.segments[j], starts, noises, strict=True)
         )

@@ -657,12 +657,8 @@ class LongSearch(TimeSearch):
 
 def _common_band(regression: ModalRegression, highest_hz: float) -> Band:
     """Return the band that the inputs of all records excite between them."""
-    structure = regression.structure
-    differentiations = structure.differentiations if structure.is_motion else 0
-    bands = [
-        excited_band(d, differentiations, regression.duration_s, regression.rate_hz)
-        for d in regression.drives
-    ]
+    power = regression.structure.driving_power
+    bands = [excited_band(d, power, regression.duration_s, regression.rate_hz) for d in regression.drives]
     high = min(max(b.high_hz for b in bands), highest_hz)
     is_excited = any(b.is_excited for b in bands)
     return Band(min(b.low_hz for b in bands), high, is_excited, 0.5 * regression.rate_hz)

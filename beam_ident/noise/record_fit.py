@@ -30,6 +30,9 @@ class RecordFit:
         1, c_1 .. c_p of an autoregression that the estimator gave this record's noise; 1 alone otherwise.
     noise : str -- what the estimator took the noise for, in words; empty for white noise without outliers
     spread : ndarray -- the noise of every sample over the record's; one number where it is the same for all
+    innovations : ndarray
+        What the estimator's weights make of the residuals, white where the noise is what it was taken for; empty
+        where ``noise_coefficients`` say it all.
     """
 
     name: str
@@ -45,6 +48,7 @@ class RecordFit:
     noise_coefficients: FloatArray = field(default_factory=lambda: np.ones(1))
     noise: str = ""
     spread: FloatArray = field(default_factory=lambda: np.ones(1))
+    innovations: FloatArray = field(default_factory=lambda: np.empty(0))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -16,9 +16,9 @@ from beam_ident.errors import ReportError
 from beam_ident.evaluation.model_comparison import compare_models
 from beam_ident.figures.response_curves import drawing_lines, response_curves
 from beam_ident.modal.model import ModalModel
+from beam_ident.quantities import nearest_mode, small
 from beam_ident.report.evidence import Trial
 from beam_ident.report.page import Cell, Page, Tone
-from beam_ident.report.quantities import nearest_mode, small
 from beam_ident.report.validation import add_trials
 
 _TURN = 2.0 * np.pi

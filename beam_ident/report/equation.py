@@ -8,8 +8,8 @@ from typing import Any
 from beam_ident.data.records import TimeRecord
 from beam_ident.modal.model import ModalModel
 from beam_ident.modal.structure import ModalStructure
+from beam_ident.quantities import with_uncertainty
 from beam_ident.report.page import Page
-from beam_ident.report.quantities import with_uncertainty
 from beam_ident.subspace.model import SubspaceModel
 from beam_ident.transfer_function.model import TransferFunctionModel
 from beam_ident.transfer_function.multi_input_model import MultiInputModel

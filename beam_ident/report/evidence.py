@@ -18,7 +18,7 @@ from beam_ident.evaluation.hold_out import ValidationResult
 from beam_ident.figures.identification import Fitted, FittedOutput
 from beam_ident.modal.identification_result import IdentificationResult
 from beam_ident.modal.model import ModalModel
-from beam_ident.report.quantities import nearest_mode
+from beam_ident.quantities import nearest_mode
 from beam_ident.results import Result, TimeResult
 
 _LEVEL = 0.01  # how often a sound theory is called doubtful: as residuals are called coloured

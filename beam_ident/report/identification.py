@@ -23,8 +23,10 @@ from beam_ident.amplitude.linearity import Linearity
 from beam_ident.axis.axis_result import AxisResult, meaning_of
 from beam_ident.best_linear.result import BestLinearApproximation
 from beam_ident.data.records import TimeRecord, busiest_stretch
+from beam_ident.evaluation.assumptions import assumptions
 from beam_ident.figures.identification import Fitted
 from beam_ident.modal.identification_result import FrequencyDomainResult, IdentificationResult
+from beam_ident.quantities import nearest_mode, r_squared, sentence, small
 from beam_ident.report.equation import add_equation
 from beam_ident.report.evidence import (
     Agreement,
@@ -47,8 +49,7 @@ from beam_ident.report.measurement import (
     add_stabilisation,
 )
 from beam_ident.report.modes import add_budgets, add_modes, add_poles, add_shapes, add_theory
-from beam_ident.report.page import Cell, Drawn, Page
-from beam_ident.report.quantities import nearest_mode, r_squared, sentence
+from beam_ident.report.page import Cell, Drawn, Page, Tone
 from beam_ident.report.validation import add_predictions, add_trials, add_validation
 from beam_ident.report.verdict import add_gates, add_verdict, judge
 from beam_ident.results import LineResult, Result, models_of
@@ -136,7 +137,7 @@ def identification_page(
     shown = busiest_stretch(longest)
     outputs = fitted_outputs(result, records[0])
     page.section("Verdict")
-    add_verdict(page, judge(result, gates, validation, agreement))
+    add_verdict(page, judge(result, gates, validation, agreement, records))
     page.section("Modes")
     add_modes(page, modes, doubts)
     _add_fit(page, result, outputs)
@@ -151,7 +152,7 @@ def identification_page(
         page.section("Noise and distortion")
         add_best_linear(page, best_linear)
     page.section("Assumptions")
-    _add_assumptions(page, result, outputs, validation, agreement, linearity)
+    _add_assumptions(page, result, records, validation, agreement, linearity)
     if linearity is not None and not linearity.is_linear:
         _add_linearity(page, linearity)
     page.signature(operator)
@@ -218,52 +219,45 @@ def _add_frequency_response(
 def _add_assumptions(
     page: Page,
     result: Result,
-    outputs: Fitted,
+    records: Sequence[TimeRecord],
     validation: Sequence[Unseen],
     agreement: Agreement | None,
     found: Linearity | None,
 ) -> None:
     """Add what the numbers rest on, each with the test of it, so that no untested assumption looks tested."""
     unseen = [o for one in validation for own in one.results for o in own.outputs]
-    coloured = [o.name for o in outputs if not o.whiteness.is_white]
-    following = [o.name for o in unseen if not o.input_correlation.is_independent]
-    rows: list[tuple[str, str, bool | None]] = [
-        (
-            "the noise is as it was modelled",
-            f"residuals of {', '.join(coloured) or 'no output'} are not white"
-            if outputs
-            else "no residuals in time",
-            not coloured if outputs else None,
-        ),
+    n_free = sum(o.input_correlation.is_independent for o in unseen)
+    free = f"{n_free} of {len(unseen)} residuals of unseen data are free of the input"
+    rows: list[tuple[str, str, float, str]] = [
+        *((own.name, own.verdict, own.p_value, own.test) for own in assumptions(result, records)),
         (
             "the model holds for other data",
-            f"{len(unseen) - len(following)} of {len(unseen)} residuals of unseen data are free of the input"
-            if unseen
-            else "no unseen data",
-            not following if unseen else None,
+            "not tested" if not unseen else "holds" if n_free == len(unseen) else "fails",
+            math.nan,
+            free if unseen else "no unseen data",
         ),
-        (
+        ("the structure is linear", "not tested", math.nan, "no test of it was made")
+        if found is None
+        else (
             "the structure is linear",
-            "no test of it was made" if found is None else found.verdict,
-            None if found is None else found.is_linear,
+            "holds" if found.is_linear else "fails",
+            found.p_value,
+            found.verdict,
         ),
-        (
+        ("the structure is that of theory", "not tested", math.nan, "there is no theory")
+        if agreement is None or not np.isfinite(agreement.chi_squared)
+        else (
             "the structure is that of theory",
-            "there is no theory" if agreement is None else agreement.verdict,
-            None
-            if agreement is None or not np.isfinite(agreement.chi_squared)
-            else not agreement.is_doubtful,
+            "fails" if agreement.is_doubtful else "holds",
+            agreement.p_value,
+            agreement.verdict,
         ),
     ]
-    verdicts: dict[bool | None, Cell] = {
-        True: Cell("holds", "good"),
-        False: Cell("doubtful", "doubt"),
-        None: Cell("not tested", "doubt"),
-    }
+    tones: dict[str, Tone] = {"holds": "good", "fails": "bad", "not tested": "doubt"}
     page.table(
-        ["assumption", "verdict", "test"],
-        [[assumed, verdicts[held], sentence(test)] for assumed, test, held in rows],
-        "What the numbers above rest on.",
+        ["assumption", "verdict", "p", "test"],
+        [[name, Cell(verdict, tones[verdict]), small(p), sentence(test)] for name, verdict, p, test in rows],
+        "What the intervals above rest on. p: how often chance alone would speak against it as much.",
     )
 
 

@@ -12,9 +12,7 @@ from beam_ident import figures
 from beam_ident.arrays import FloatArray
 from beam_ident.figures.response_curves import response_curves
 from beam_ident.modal.model import ModalModel
-from beam_ident.report.evidence import Agreement, ErrorSources, ModeRow, Theory
-from beam_ident.report.page import Page
-from beam_ident.report.quantities import (
+from beam_ident.quantities import (
     decimals,
     interval,
     nearest_mode,
@@ -23,6 +21,8 @@ from beam_ident.report.quantities import (
     small,
     with_uncertainty,
 )
+from beam_ident.report.evidence import Agreement, ErrorSources, ModeRow, Theory
+from beam_ident.report.page import Page
 from beam_ident.transfer_function.model import TransferFunctionModel
 
 _TURN = 2.0 * np.pi

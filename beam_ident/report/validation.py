@@ -12,9 +12,9 @@ from beam_ident import figures
 from beam_ident.errors import EstimationError
 from beam_ident.evaluation.repeatability import assess_repeatability
 from beam_ident.modal.model import ModalModel
+from beam_ident.quantities import nearest_mode, small, with_uncertainty
 from beam_ident.report.evidence import Trial, Unseen
 from beam_ident.report.page import Cell, Page, Tone
-from beam_ident.report.quantities import nearest_mode, small, with_uncertainty
 
 TONES: dict[str, Tone] = {"good": "good", "noise-limited": "good", "fair": "doubt", "poor": "bad"}
 

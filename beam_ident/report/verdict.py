@@ -8,12 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtri
 
+from beam_ident.data.records import TimeRecord
+from beam_ident.evaluation.assumptions import assumptions
 from beam_ident.modal.identification_result import IdentificationResult
 from beam_ident.noise.scores import InputCorrelation
+from beam_ident.quantities import sentence
 from beam_ident.report.evidence import Agreement, Unseen
 from beam_ident.report.gates import Gate
 from beam_ident.report.page import Cell, Page, Tone
-from beam_ident.report.quantities import sentence
 from beam_ident.results import Result
 
 _POOR = ("poor", "fair")
@@ -41,6 +43,7 @@ def judge(
     gates: Sequence[Gate] = (),
     unseen: Sequence[Unseen] = (),
     agreement: Agreement | None = None,
+    records: Sequence[TimeRecord] = (),
 ) -> Verdict:
     """Judge a result by its own end, by its data, by data that it has not seen, and by theory.
 
@@ -50,6 +53,7 @@ def judge(
     gates : sequence of Gate -- of its data
     unseen : sequence of Unseen
     agreement : Agreement, optional -- with theory
+    records : sequence of TimeRecord -- that it was estimated from
     """
     against = [] if result.converged else [f"the estimation did not come to its end ({result.reason})"]
     against += [f"the data fail at {gate.name}: {gate.figure}" for gate in gates if gate.verdict == "failed"]
@@ -69,6 +73,8 @@ def judge(
                         f"{one.name}, {output.name}: {output.verdict}"
                     )
     doubts += result.warnings
+    failing = [own.name for own in assumptions(result, records) if own.verdict == "fails"]
+    doubts += [f"intervals rest on what does not hold: {', '.join(failing)}"] * bool(failing)
     if agreement is not None and agreement.is_doubtful:
         doubts.append(agreement.verdict)
     reasons = (*against, *doubts)

@@ -36,6 +36,7 @@ from beam_ident.sensing.damage import damage_warnings
 from beam_ident.sensing.misfit_causes import misfit_warnings
 from beam_ident.sensing.quantisation import clipped_warnings
 from beam_ident.subspace.po_moesp import N_BLOCK_ROWS, Stretch, Window, subspace_windows
+from beam_ident.summary import Summarised, SummaryPart, modes_table, result_parts
 from beam_ident.transfer_function.structure_gates import UNRELATED
 
 SCHEMA = 1
@@ -43,8 +44,8 @@ _MAX_ORDER = 40
 _INITIAL_MOTION_LEVEL = 0.01  # how often free motion is estimated along where there is none
 
 
-@dataclass(frozen=True, eq=False)
-class SubspaceModel:
+@dataclass(frozen=True, eq=False, repr=False)
+class SubspaceModel(Summarised):
     """What a subspace estimate found.
 
     Attributes
@@ -79,6 +80,11 @@ class SubspaceModel:
     residuals: tuple[FloatArray, ...]
     whiteness: tuple[Whiteness, ...]
     warnings: tuple[str, ...]
+
+    def summary_parts(self) -> list[SummaryPart]:
+        """Return the summary's tables and sentences."""
+        table = modes_table(*self.modes())
+        return [table, *result_parts(self, (), self.output_names)]
 
     @property
     def converged(self) -> bool:

@@ -15,13 +15,14 @@ from beam_ident.data.stored_form import checked_entries, complaints_about, plain
 from beam_ident.errors import EstimationError, ModelFormatError
 from beam_ident.numerics.piecewise import Instants
 from beam_ident.numerics.rational_response import RationalResponse, poles_keep_apart, upper_roots
+from beam_ident.summary import Summarised, SummaryPart, estimates_table, modes_table
 from beam_ident.transfer_function.output_prediction import OutputPrediction
 
 SCHEMA = 1
 
 
-@dataclass(frozen=True, eq=False)
-class TransferFunctionModel:
+@dataclass(frozen=True, eq=False, repr=False)
+class TransferFunctionModel(Summarised):
     """A single-input, single-output continuous-time model.
 
     Attributes
@@ -65,6 +66,16 @@ class TransferFunctionModel:
                 f"transfer function: covariance of shape {self.covariance.shape} and leading denominator "
                 f"coefficient {self.denominator[0]}; expected {(n, n)} and 1"
             )
+
+    def summary_parts(self) -> list[SummaryPart]:
+        """Return the summary's tables and sentences."""
+        names, values, sds = self.parameter_names, self.parameters, self.standard_deviations
+        shown = [k for k, name in enumerate(names) if name != "delay" or self.delay or sds[k]]
+        return [
+            f"{self.input_name} -> {self.output_name}: {len(self.numerator) - 1} zeros, {self.n_poles} poles",
+            modes_table(*self.modes()),
+            estimates_table([names[k] for k in shown], values[shown], sds[shown]),
+        ]
 
     @property
     def n_poles(self) -> int:

@@ -14,14 +14,15 @@ from beam_ident.data.argument_checks import require_input_signal, require_record
 from beam_ident.data.records import InputSignal, TimeRecord
 from beam_ident.data.stored_form import checked_entries, complaints_about, names_of, plain
 from beam_ident.errors import EstimationError, ModelFormatError
+from beam_ident.summary import Summarised, SummaryPart
 from beam_ident.transfer_function.model import TransferFunctionModel
 from beam_ident.transfer_function.output_prediction import OutputPrediction
 
 SCHEMA = 1
 
 
-@dataclass(frozen=True, eq=False)
-class MultiInputModel:
+@dataclass(frozen=True, eq=False, repr=False)
+class MultiInputModel(Summarised):
     """A continuous-time model from several inputs to one output.
 
     Attributes
@@ -72,6 +73,11 @@ class MultiInputModel:
                 f"multi-input model: covariance of shape {self.covariance.shape} and leading denominator "
                 f"coefficients {[float(a[0]) for a in self.denominators]}; expected {(size, size)} and 1"
             )
+
+    def summary_parts(self) -> list[SummaryPart]:
+        """Return the summary's tables and sentences."""
+        paths = (self.path(name) for name in self.input_names)
+        return [part for path in paths for part in path.summary_parts()]
 
     @property
     def has_common_poles(self) -> bool:

@@ -41,6 +41,7 @@ from beam_ident.numerics.rational_response import RationalResponse, full_roots, 
 from beam_ident.sensing.damage import damage_warnings
 from beam_ident.sensing.misfit_causes import input_misfit_warnings
 from beam_ident.sensing.quantisation import clipped_warnings
+from beam_ident.summary import Summarised, SummaryPart, result_parts
 from beam_ident.transfer_function.model import TransferFunctionModel
 from beam_ident.transfer_function.sampled_controller import SampledController
 from beam_ident.transfer_function.structure_gates import (
@@ -55,8 +56,8 @@ _ROUNDING = 1e-6  # of a coefficient: a thousandth of it is exact enough where t
 _WHITENINGS = 3
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class ClosedLoopResult(OverOneOutput):
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class ClosedLoopResult(Summarised, OverOneOutput):
     """The plant that was found in a loop.
 
     Attributes
@@ -67,6 +68,10 @@ class ClosedLoopResult(OverOneOutput):
     """
 
     model: TransferFunctionModel
+
+    def summary_parts(self) -> list[SummaryPart]:
+        """Return the summary's tables and sentences."""
+        return result_parts(self, (self.model,), (self.model.output_name,))
 
 
 @on_one_thread

@@ -40,6 +40,7 @@ from beam_ident.sensing.clock_rate import clocks_of_record
 from beam_ident.sensing.damage import damage_warnings, without_repeated
 from beam_ident.sensing.misfit_causes import input_misfit_warnings
 from beam_ident.sensing.quantisation import without_clipped
+from beam_ident.summary import Summarised, SummaryPart, result_parts
 from beam_ident.transfer_function.model import TransferFunctionModel
 from beam_ident.transfer_function.multi_input_model import MultiInputModel
 from beam_ident.transfer_function.structure_gates import (
@@ -71,8 +72,8 @@ _MAX_POLES = 20
 Model = TypeVar("Model", TransferFunctionModel, MultiInputModel)
 
 
-@dataclass(frozen=True, eq=False)
-class CommonPoleFit(Generic[Model]):
+@dataclass(frozen=True, eq=False, repr=False)
+class CommonPoleFit(Summarised, Generic[Model]):
     """Models with one denominator and what is to be known about their estimation.
 
     Attributes
@@ -102,6 +103,10 @@ class CommonPoleFit(Generic[Model]):
     reason: str
     iterations: int
     warnings: tuple[str, ...]
+
+    def summary_parts(self) -> list[SummaryPart]:
+        """Return the summary's tables and sentences."""
+        return result_parts(self, self.models, tuple(model.output_name for model in self.models))
 
     def model(self, output_name: str) -> Model:
         """Return the model of one output by its name."""

@@ -40,6 +40,7 @@ from beam_ident.sensing.damage import damage_warnings, without_repeated
 from beam_ident.sensing.misfit_causes import input_misfit_warnings
 from beam_ident.sensing.quantisation import without_clipped
 from beam_ident.sensing.still_noise import StillNoise, found_noise_warning
+from beam_ident.summary import Summarised, SummaryPart, result_parts
 from beam_ident.transfer_function.model import TransferFunctionModel
 from beam_ident.transfer_function.multi_input_model import MultiInputModel
 from beam_ident.transfer_function.structure_gates import (
@@ -127,8 +128,8 @@ class RationalFit(OverOneOutput):
     initial_motion: InitialMotion = InitialMotion()
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class TransferFunctionResult(RationalFit):
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class TransferFunctionResult(Summarised, RationalFit):
     """A transfer function and what is to be known about its estimation.
 
     Attributes
@@ -139,9 +140,13 @@ class TransferFunctionResult(RationalFit):
 
     model: TransferFunctionModel
 
+    def summary_parts(self) -> list[SummaryPart]:
+        """Return the summary's tables and sentences."""
+        return result_parts(self, (self.model,), (self.model.output_name,))
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class MultiInputResult(RationalFit):
+
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class MultiInputResult(Summarised, RationalFit):
     """Transfer functions from several inputs and what is to be known about their estimation.
 
     Attributes
@@ -152,9 +157,13 @@ class MultiInputResult(RationalFit):
 
     model: MultiInputModel
 
+    def summary_parts(self) -> list[SummaryPart]:
+        """Return the summary's tables and sentences."""
+        return result_parts(self, (self.model,), (self.model.output_name,))
 
-@dataclass(frozen=True, eq=False)
-class SeparateOutputsResult(OverOutputs):
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SeparateOutputsResult(Summarised, OverOutputs):
     """A transfer function of every output, each estimated by itself and with poles of its own.
 
     Attributes
@@ -167,6 +176,10 @@ class SeparateOutputsResult(OverOutputs):
 
     outputs: tuple[TransferFunctionResult, ...]
     tables: tuple[str, ...] = ()
+
+    def summary_parts(self) -> list[SummaryPart]:
+        """Return the summary's tables and sentences."""
+        return result_parts(self, self.models, tuple(model.output_name for model in self.models))
 
     @property
     def models(self) -> tuple[TransferFunctionModel, ...]:

@@ -14,8 +14,8 @@ import numpy as np
 
 from beam_ident import EstimationError, assess_repeatability
 from beam_ident.figures.canvas import COLOURS, REFERENCE, axes_grid
+from beam_ident.quantities import signed, with_uncertainty
 from beam_ident.report.page import Cell, Page
-from beam_ident.report.quantities import signed, with_uncertainty
 from beam_ident.report.validation import TONES
 from beam_ident.report.verdict import Verdict, add_verdict, worst_of
 from beam_ros.bags.apparatus import Apparatus, simulated_line

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from beam_ident import ModalModel
+from beam_ident.quantities import nearest_mode
 from beam_ident.report.evidence import ErrorSources, Theory
-from beam_ident.report.quantities import nearest_mode
 from beam_model import AirDrag, BeamModel, amplitude_law
 from beam_model.fitting.theory_comparison import UncertaintyBudget, compare_with_theory
 from beam_ros.arrays import FloatArray

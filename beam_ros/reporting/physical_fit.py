@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from beam_ident import ModalModel
-from beam_ident.report.quantities import nearest_mode
+from beam_ident.quantities import nearest_mode
 from beam_model import (
     BeamModelError,
     BeamParameters,

@@ -11,8 +11,8 @@ from typing import Any
 from beam_ident import ModalModel
 from beam_ident.amplitude.curves import AmplitudeCurves, amplitude_curves
 from beam_ident.amplitude.free_stretches import free_decay_of
+from beam_ident.quantities import sentence
 from beam_ident.report.page import Page
-from beam_ident.report.quantities import sentence
 from beam_ident.shaping.choice import JudgedMove
 from beam_ident.shaping.known_beam import AxisErrors
 from beam_ros.bags.errors import BagError

@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from beam_ident import TransferFunctionResult
+from beam_ident.quantities import sentence
 from beam_ident.report.evidence import Unseen
 from beam_ident.report.page import Page, write_whole
-from beam_ident.report.quantities import sentence
 from beam_ident.report.verdict import Verdict, add_verdict, judge, worst_of
 from beam_ros.process.strict_json import strict_json
 from beam_ros.thesis.contents import BY_NUMBER, ENTRIES, REFERENCE

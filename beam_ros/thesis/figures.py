@@ -10,7 +10,7 @@ import numpy as np
 
 from beam_ident import EstimationError, local_polynomial_response
 from beam_ident.figures.canvas import COLOURS, MEASURED, MODEL, REFERENCE, axes_grid, drawn, stacked_axes
-from beam_ident.report.quantities import with_uncertainty
+from beam_ident.quantities import with_uncertainty
 from beam_ros.arrays import ComplexArray, FloatArray
 from beam_ros.offline.loading.experiment import Experiment
 from beam_ros.rig.rig import Rig

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.special import chdtrc as chi_squared_tail
 
 from beam_ident import ModalModel, OrderSelection, TransferFunctionModel, compare_step_responses
-from beam_ident.report.quantities import r_squared, with_uncertainty
+from beam_ident.quantities import r_squared, with_uncertainty
 from beam_ros.arrays import FloatArray
 from beam_ros.excitation.plan import plan_excitation
 from beam_ros.excitation.recipes import KINDS

@@ -46,6 +46,29 @@ def test_every_result_keeps_its_contract(name):
     assert isinstance(found, LineResult) == (name in result_cases.OVER_LINES)
 
 
+@pytest.mark.parametrize("name", result_cases.ALL)
+def test_every_result_prints_what_a_reader_needs_first(name):
+    found = result_cases.result(name)
+    lines = str(found).splitlines()
+    assert 3 <= len(lines) <= 40
+    assert max(map(len, lines)) < 200
+    assert repr(found) == str(found)
+    # 20 rad/s, however it was estimated; and the notebook's table has what the terminal's has.
+    hertz = [row[1] for row in map(str.split, lines) if row[0] == "1"]
+    assert [float(own) for own in hertz] == pytest.approx([20.0 / (2.0 * np.pi)] * len(hertz), rel=0.02)
+    assert hertz
+    assert all(f"<td>{own}" in found._repr_html_() for own in hertz)
+    assert all(text.split(". ")[0][:60] in str(found).replace("\n", " ") for text in found.warnings)
+
+
+def test_records_print_what_they_hold():
+    assert str(result_cases.record()).splitlines()[2].split() == [
+        *("u", "input", "N", "1024", "100", "0", "to", "10.23"),
+        *str(result_cases.record()).splitlines()[2].split()[-3:],
+    ]
+    assert "lines from" in str(result_cases.lines())
+
+
 @pytest.mark.parametrize("name", result_cases.BY_NAME)
 def test_what_the_table_promises_is_kept_and_the_models_can_be_stored(name):
     found = result_cases.result(name)

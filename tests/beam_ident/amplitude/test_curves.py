@@ -186,6 +186,9 @@ def test_an_exposure_does_not_make_the_amplitude_smaller() -> None:
     A, f, _ = truth(CUBIC)
     middle = 0.5 * A.max()
     assert curves.frequency_hz_at(middle) == pytest.approx(np.interp(middle, A[::-1], f[::-1]), rel=2e-5)
+    with pytest.warns(UserWarning, match="outside .* which the decays show"):
+        beyond = curves.frequency_hz_at([middle, 3.0 * A.max()])
+    assert list(np.isnan(beyond)) == [False, True]
 
 
 @pytest.mark.slow

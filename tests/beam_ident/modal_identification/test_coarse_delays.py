@@ -9,6 +9,7 @@ import pytest
 
 from beam_ident import Prior, TimeRecord, identify
 from beam_ident.modal_identification.coarse_delays import coarse_delays
+from benchmarks.ident.changing_modes import ChangingModes
 from tests.beam_ident.truth import OMEGAS, beam_record
 
 
@@ -20,7 +21,7 @@ def later(record: TimeRecord, by_s: float) -> TimeRecord:
 
 @pytest.mark.parametrize("delay", [0.0, 0.35, -1.3])
 def test_phases_alone_tell_when_outputs_were_stamped(delay):
-    found = coarse_delays([later(beam_record(1), delay)], "hub")
+    found = coarse_delays([later(beam_record(1), delay)], "hub", 2)
     assert found
     # Within a period of the slowest mode that moves much, which phases near its resonance blur.
     assert list(found.values()) == pytest.approx([delay] * len(found), abs=0.1)
@@ -30,15 +31,27 @@ def test_nothing_is_said_where_noise_hides_the_input_or_periods_repeat():
     record = beam_record(1)
     rng = np.random.default_rng(1)
     noise = tuple(dataclasses.replace(o, values=rng.standard_normal(len(o.values))) for o in record.outputs)
-    assert coarse_delays([dataclasses.replace(record, outputs=noise)], "hub") == {}
+    assert coarse_delays([dataclasses.replace(record, outputs=noise)], "hub", 2) == {}
     (drive,) = record.inputs
     still = dataclasses.replace(drive, values=np.zeros_like(drive.values))
-    assert coarse_delays([dataclasses.replace(record, inputs=(still,))], "hub") == {}
+    assert coarse_delays([dataclasses.replace(record, inputs=(still,))], "hub", 2) == {}
     times = np.arange(len(drive.values)) * 1e-3
     again = np.tile(rng.standard_normal(2000), len(times) // 2000 + 1)[: len(times)]
     output = dataclasses.replace(record.outputs[0], times_s=times[5::10], values=again[5::10])
     periodic = TimeRecord((dataclasses.replace(drive, times_s=times, values=again),), (output,))
-    assert coarse_delays([periodic], "hub") == {}
+    assert coarse_delays([periodic], "hub", 2) == {}
+
+
+def test_outputs_that_end_before_their_input_are_not_taken_for_late():
+    # It moves between 1 and 15 Hz. At other lines the spectra show where the signals begin and end, and nothing else.
+    for seed in (0, 1):
+        record = ChangingModes(None, 10.0).record(seed)
+        outputs = tuple(
+            dataclasses.replace(own, times_s=own.times_s[:-20], values=own.values[:-20])
+            for own in record.outputs
+        )
+        found = coarse_delays([dataclasses.replace(record, outputs=outputs)], "base", 2)
+        assert all(delay == pytest.approx(0.0, abs=0.1) for delay in found.values()), found
 
 
 @pytest.mark.slow

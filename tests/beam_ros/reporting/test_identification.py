@@ -14,9 +14,9 @@ pytest.importorskip("matplotlib")
 
 from beam_ident import AmplitudeCurves, ModalModel, TimeRecord
 from beam_ident.data.records import InputSignal, OutputSignal
+from beam_ident.quantities import with_uncertainty
 from beam_ident.report.evidence import beside_theory
 from beam_ident.report.modes import modes_by_output
-from beam_ident.report.quantities import with_uncertainty
 from beam_ros.errors import UsageError
 from beam_ros.offline.identification import IdentificationOutcome, identification_of_bags
 from beam_ros.offline.identification_summary import format_table

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from beam_ident.report.quantities import interval, nearest_mode, small, with_uncertainty
+from beam_ident.quantities import interval, nearest_mode, small, with_uncertainty
 
 
 def test_values_are_rounded_to_their_uncertainty():
