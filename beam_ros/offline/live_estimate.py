@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -22,6 +22,7 @@ from beam_ident import (
     aims_of,
     local_polynomial_response,
 )
+from beam_ident.evaluation.assumptions import assumptions
 from beam_ident.modal.identification_result import IdentificationResult
 from beam_ident.modal_identification.growing import duration_of
 from beam_ros.arrays import FloatArray
@@ -193,7 +194,7 @@ class LiveEstimate:
             ),
             response=self._response(result),
             shape=_shape(model, experiment),
-            tests=_tests(result),
+            tests=_tests(result, records),
             aims=tuple(_aim(aim, model, duration_s) for aim in self.aims),
         )
 
@@ -301,16 +302,11 @@ def _shape(model: ModalModel, experiment: Experiment) -> LiveShape | None:
     )
 
 
-def _tests(result: IdentificationResult) -> tuple[LiveTest, ...]:
-    """Return what was assumed, and what the data say of it."""
-    white = [
-        LiveTest(
-            f"the residuals of {own.name} are white",
-            "Ljung-Box",
-            float(own.whiteness.p_value),
-            "holds" if own.whiteness.is_white else "fails",
-        )
-        for own in result.outputs
+def _tests(result: IdentificationResult, records: Sequence[TimeRecord]) -> tuple[LiveTest, ...]:
+    """Return what was assumed, and what the data say of it; then whether each mode passes the gates."""
+    assumed = [
+        LiveTest(own.name, own.test, own.p_value if math.isfinite(own.p_value) else None, own.verdict)
+        for own in assumptions(result, records)
     ]
     believed = [
         LiveTest(
@@ -321,7 +317,7 @@ def _tests(result: IdentificationResult) -> tuple[LiveTest, ...]:
         )
         for k, doubt in enumerate(result.doubts)
     ]
-    return (*white, *believed)
+    return (*assumed, *believed)
 
 
 def _aim(aim: Aim, model: ModalModel, duration_s: float) -> LiveAim:

@@ -102,7 +102,9 @@ def test_the_response_the_shapes_and_the_aims_are_those_of_the_model(said) -> No
     assert aims["f1"].seconds_to_go == 0.0
     assert not aims["zeta2"].met
     assert aims["zeta2"].seconds_to_go > 1e3
-    assert {test.verdict for test in last.tests} <= {"holds", "fails"}
+    believed = [test for test in last.tests if test.assumption.startswith("mode ")]
+    assert [test.verdict for test in believed] == ["holds"] * len(last.modes)
+    assert len(last.tests) > len(believed)  # and what the intervals rest on
 
 
 @pytest.mark.slow
