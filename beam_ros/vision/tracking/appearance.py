@@ -375,6 +375,7 @@ class Appearance:
     disc : tuple of int -- the two, as the apertures are tabulated
     is_settled : bool -- it is averaged over enough frames
     is_disc : bool -- False: a compact thing of another shape, of which only the centre of gravity is meant
+    is_shared : bool -- most markers share that other shape, so that it is no second image
     is_bounded : bool -- the ground about it ends nearer than a smear may reach, as that of a label
     uneven : float -- mean square of how far uneven light pulls the centre, as far as it shows beyond noise [px^2]
     model : DiscModel -- what is fitted to it, and learns its noise
@@ -395,6 +396,7 @@ class Appearance:
     disc: tuple[int, int] = field(init=False)
     is_settled: bool = field(init=False)
     is_disc: bool = field(init=False, default=True)
+    is_shared: bool = field(init=False, default=False)
     is_bounded: bool = field(init=False, default=False)
     uneven: float = field(init=False, default=0.0)
     model: DiscModel = field(init=False, default_factory=DiscModel)

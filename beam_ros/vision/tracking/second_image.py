@@ -95,8 +95,8 @@ class Disc(NamedTuple):
 
 
 def _round(appearance: Appearance, flatness: float) -> Disc:
-    """What a marker looks like that is as round as it should be; one that is no disc has only its own look."""
-    return Disc(flatness, 0.0 if appearance.is_disc else appearance.tilt, appearance.variance_v)
+    """What a marker looks like that is as round as it should be; a shape that most share is known."""
+    return Disc(flatness, appearance.tilt if appearance.is_shared else 0.0, appearance.variance_v)
 
 
 def _unexplained(found: DiscFit, motion: Motion, appearance: Appearance | Disc) -> tuple[float, float]:

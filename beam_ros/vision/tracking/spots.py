@@ -557,7 +557,7 @@ class SpotMeter:
             variance_v=(own_v * (1 - shape), own_v * (1 + shape)),
             variance_u=(own_u * (1 - shape), own_u * (1 + shape) + self.smear_variance),
             correlation=shape,
-            lean=0.0 if appearance.is_disc else appearance.tilt / 2,
+            lean=appearance.tilt / 2 if appearance.is_shared else 0.0,
             skew_u=(appearance.skew_u - asymmetry, appearance.skew_u + asymmetry),
             skew_v=(appearance.skew_v - asymmetry, appearance.skew_v + asymmetry),
             plain_u=own_v + appearance.excess + _SMEARED * noise_u,
@@ -651,19 +651,23 @@ class SpotMeter:
 
     def begin(self, found: DiscFit, appearance: Appearance) -> None:
         """Take a marker's own shape from the first frame."""
-        appearance.is_disc &= appearance.model.misfit <= self.parameters.shape_tolerance * self.radius
+        tolerance, flat = self.parameters.shape_tolerance, self.flatness(appearance)
+        is_round = max(abs(found.excess - flat), abs(found.tilt)) <= tolerance * appearance.variance_v
+        # What is longer one way than the other may be two images of a disc, and no other shape.
+        if is_round and appearance.model.misfit > tolerance * self.radius:
+            appearance.is_disc, appearance.is_shared = False, True
         appearance.excess, appearance.tilt = self._own(appearance, found.excess, found.tilt)
 
     def flatness(self, appearance: Appearance) -> float:
         """Excess of a disc that is turned about the beam as the rig says, or a thing's of another shape [px^2]."""
-        if not appearance.is_disc:
+        if appearance.is_shared:
             return appearance.excess
         aspect = self.parameters.aspect
         return appearance.area / (4 * math.pi) * (aspect - 1 / aspect)
 
     def _own(self, appearance: Appearance, excess: float, tilt: float) -> tuple[float, float]:
         """Excess and tilt, as far as discs are out of round."""
-        if not appearance.is_disc:
+        if appearance.is_shared:
             return excess, tilt
         tolerance, flat = self.parameters.shape_tolerance * appearance.variance_v, self.flatness(appearance)
         return (
@@ -881,7 +885,8 @@ class SpotMeter:
             or max(own.model.misfit, found.wave) <= self.parameters.shape_tolerance * self.radius
         ):
             return None
-        own.is_disc, own.excess, own.tilt = False, spot.variance_u - spot.variance_v, 2.0 * spot.covariance
+        own.is_disc, own.is_shared = False, True
+        own.excess, own.tilt = spot.variance_u - spot.variance_v, 2.0 * spot.covariance
         return spot, light, own
 
     def _has_size(self, area: float) -> bool:

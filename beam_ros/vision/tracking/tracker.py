@@ -360,7 +360,7 @@ class MarkerTracker:
         sights = [sight for sight in found if isinstance(sight, Sight)]
         pulls: Iterator[Pull] = repeat(NO_PULL)
         if self._seconds.is_usual or not all(map(self._is_plain, sights)):
-            is_seen = "smear" in reasons.values()
+            is_seen = not {"smear", "out_of_round"}.isdisjoint(reasons.values())
             pulls = iter(
                 self._seconds.pulls(list(map(self._sighting, sights)), self._since_s, is_seen=is_seen)
             )
