@@ -158,5 +158,6 @@ def test_the_frames_of_the_filmed_one_give_its_displacements() -> None:
             stamp_ns = message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
             frame = np.frombuffer(message.data, np.uint8).reshape(message.height, message.width)
             found.append(chain.measure(stamp_ns, frame).displacement.x_m)
-        assert np.array(found) == pytest.approx(bag.displacements().positions, abs=1e-12)
+        # To a nanometre, a thousandth of what a marker is known by: by less the tracker may change.
+        assert np.array(found) == pytest.approx(bag.displacements().positions, abs=1e-9)
         assert bag.count("camera/camera_info") == len(found) > 200

@@ -318,7 +318,7 @@ class Scene:
         with self._lock:
             self._draw()
             texts = [
-                f"{json.dumps(name)}:{text}"
+                f"{strict_json(name)}:{text}"
                 for name, (version, text) in self._parts.items()
                 if cursor.parts.get(name) != version
             ]

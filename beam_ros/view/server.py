@@ -23,6 +23,7 @@ from aiohttp import WSCloseCode, WSMessage, WSMsgType, web
 from aiohttp.web_protocol import RequestHandler
 
 from beam_ros.errors import RigUnavailableError
+from beam_ros.process.strict_json import strict_json
 from beam_ros.view.admission import Admission, reachable_name
 from beam_ros.view.scene import Cursor, Scene
 
@@ -294,7 +295,7 @@ class PageServer:
         except OrderRefusedError as err:
             text, is_done = str(err), False
         with contextlib.suppress(ConnectionError):
-            await reader.send_str(json.dumps({"answer": {"order": name, "text": text, "done": is_done}}))
+            await reader.send_str(strict_json({"answer": {"order": name, "text": text, "done": is_done}}))
         return True
 
 

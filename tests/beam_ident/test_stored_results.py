@@ -60,6 +60,7 @@ def stored(name: str) -> Any:
 
 NAMES = tuple(MAKERS)
 ADDED_LATER = {
+    "harmonics",
     "decay_rate",
     "output_delays_s",
     "output_delay_sd_s",
