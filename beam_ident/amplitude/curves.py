@@ -140,7 +140,8 @@ class AmplitudeCurves(Summarised):
     def _ringing(self, amplitude: ArrayLike) -> FloatArray:
         """Return frequencies [rad/s] and damping ratios, (2, *shape of the amplitudes)."""
         asked = np.asarray(amplitude, dtype=np.float64)
-        known = np.asarray((asked >= self.amplitudes[0]) & (asked <= self.amplitudes[-1]))
+        noise = float(np.max(self.noise_sd))  # by which both ends are known
+        known = np.asarray((asked >= self.amplitudes[0] - noise) & (asked <= self.amplitudes[-1] + noise))
         if not np.all(known):
             warnings.warn(
                 f"amplitudes outside {self.amplitudes[0]:.4g} to {self.amplitudes[-1]:.4g} {self.unit}, which the "

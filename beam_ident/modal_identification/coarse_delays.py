@@ -1,15 +1,13 @@
 """How late outputs are, to a few hundredths of a second, from phases alone: where a search for clocks may begin.
 
 A delay turns the phase of every line of a spectrum in proportion to its frequency, while modes turn it by half a turn
-at a few lines only.  So the inverse transform of the phases of ``Y conj(U)`` has its peak at the delay, whatever the
-modes are (the generalised cross-correlation with phase transform; Knapp and Carter, IEEE Transactions on Acoustics,
-Speech, and Signal Processing 24, 1976).  There all lines count alike; here they count as far as the input drives
-modes at them, for elsewhere a spectrum shows little but when its signal begins and ends.
+at a few lines only.  So the inverse transform of the phases of ``Y conj(U)``, all lines alike, has its peak at the
+delay, whatever the modes are (the generalised cross-correlation with phase transform; Knapp and Carter, IEEE
+Transactions on Acoustics, Speech, and Signal Processing 24, 1976).
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -22,28 +20,24 @@ _PER_CYCLE = 4  # samples of the fastest line
 _MIN_SAMPLES = 64  # samples that show a delay
 _CERTAIN = 3.0  # times what the highest peak of noise has on average, in power
 _NEXT = 2.0  # times the power of what is farther away than a peak is wide
-_WIDE = 4.0  # times the inverse of the driven band to either side
+_WIDE = 4.0  # periods of the fastest line to either side
 
 
-def coarse_delays(
-    records: Sequence[TimeRecord], input_name: str, driving_power: int, near_s: float = 0.0
-) -> dict[str, float]:
+def coarse_delays(records: Sequence[TimeRecord], input_name: str, near_s: float = 0.0) -> dict[str, float]:
     """Return by how much the outputs are late that show it without a doubt, by name [s].
 
     Parameters
     ----------
     records : sequence of TimeRecord
     input_name : str
-    driving_power : int
-        Power of s by which the input becomes what drives modes.
     near_s : float
         What a search from here finds anyway: a second peak as near is no doubt, as a ringing mode has several.
 
     Returns
     -------
     dict
-        Delays up to half of the shortest record, known to about the inverse of the driven band; 0 where they are not
-        told from none. An output is left out where noise hides the peak, or another one is nearly as high.
+        Delays up to half of the shortest record, known to about a period of the fastest line. An output is left out
+        where noise hides the peak, or another one is nearly as high.
     """
     found = {}
     for name in dict.fromkeys(name for record in records for name in record.output_names):
@@ -56,18 +50,17 @@ def coarse_delays(
         n_lags = int(0.5 * shortest / step)
         if n_lags < _MIN_SAMPLES:
             continue
-        seen = [_phase_correlation(one, input_name, name, step, driving_power, n_lags) for one in with_it]
-        powers = np.sum([np.square(correlation) for correlation, _ in seen], axis=0)
+        powers = np.zeros(2 * n_lags + 1)
+        for record in with_it:
+            powers += np.square(_phase_correlation(record, input_name, name, step, n_lags))
         place = int(np.argmax(powers))
-        # Modes turn phases within the band, too: as far as that goes, no delay is told from none.
-        blur = math.ceil(_WIDE / max(min(band for _, band in seen), 1.0 / len(powers)))
-        width = max(blur, round(near_s / step))
+        width = max(round(_WIDE * _PER_CYCLE), round(near_s / step))
         others = np.delete(powers, slice(max(place - width, 0), place + width + 1))
         if not len(others):
             continue
         noise = float(np.mean(others)) * 2.0 * np.log(len(powers))
         if powers[place] > _CERTAIN * noise and powers[place] > _NEXT * float(np.max(others)):
-            found[name] = (place - n_lags) * step if abs(place - n_lags) > blur else 0.0
+            found[name] = (place - n_lags) * step
     return found
 
 
@@ -81,15 +74,9 @@ def _step(record: TimeRecord, name: str) -> float:
 
 
 def _phase_correlation(
-    record: TimeRecord, input_name: str, name: str, step: float, driving_power: int, n_lags: int
-) -> tuple[FloatArray, float]:
-    """Return the correlation of an output with the input by the phases of their lines, and the band that is driven.
-
-    Returns
-    -------
-    correlation : ndarray, shape (2 n_lags + 1,) -- at lags from -n to n steps
-    band : float -- width of what is driven, every line by its weight [cycles a step]
-    """
+    record: TimeRecord, input_name: str, name: str, step: float, n_lags: int
+) -> FloatArray:
+    """Return the correlation of an output with the input at lags from -n to n steps, all lines of equal weight."""
     drive, output = record.input(input_name), record.output(name)
     seen = output.is_valid
     first, last = drive.span_s
@@ -98,15 +85,10 @@ def _phase_correlation(
     u = _without_line(np.interp(grid, drive.times_s, drive.values))
     y = _without_line(np.interp(grid, output.times_s[seen], output.values[seen]))
     size = 2 ** int(np.ceil(np.log2(2 * len(grid))))
-    lines = np.fft.rfftfreq(size)
-    is_seen = lines <= 1.0 / _PER_CYCLE  # of a step: above, an output shows aliases
-    drive_lines = np.fft.rfft(u, size)
-    cross = np.fft.rfft(y, size) * np.conj(drive_lines)
-    # A line that drives modes as much as lines do on average counts half of one that drives them much more.
-    driving = np.square(np.abs(drive_lines) * lines**driving_power) * is_seen
-    driving /= driving + max(float(np.mean(driving[is_seen])), 1e-300)
-    correlation = np.fft.irfft(driving * cross / np.maximum(np.abs(cross), 1e-300), size)
-    return np.concatenate([correlation[-n_lags:], correlation[: n_lags + 1]]), float(np.sum(driving)) / size
+    cross = np.fft.rfft(y, size) * np.conj(np.fft.rfft(u, size))
+    cross[np.fft.rfftfreq(size) > 1.0 / _PER_CYCLE] = 0.0  # of a step: above, an output shows aliases
+    correlation = np.fft.irfft(cross / np.maximum(np.abs(cross), 1e-300), size)
+    return np.asarray(np.concatenate([correlation[-n_lags:], correlation[: n_lags + 1]]))
 
 
 def _without_line(values: FloatArray) -> FloatArray:

@@ -134,7 +134,7 @@ def test_what_the_command_line_cannot_mean_is_refused(clone: Path, fake_python: 
     assert_refused(
         call(clone, "--extras", "ros,everything"),
         "'everything'",
-        "rig,ros,dask,compiled,remote,study,files,test,dev,browser,docs, or none",
+        "rig,view,ros,dask,compiled,remote,study,files,test,dev,browser,docs, or none",
     )
     assert_refused(call(clone, "--constraint", "none.txt"), "none.txt")
     assert not (clone / ".venv").exists()

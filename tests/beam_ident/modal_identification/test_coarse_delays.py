@@ -9,8 +9,6 @@ import pytest
 
 from beam_ident import Prior, TimeRecord, identify
 from beam_ident.modal_identification.coarse_delays import coarse_delays
-from benchmarks.ident.changing_modes import ChangingModes
-from tests.beam_ident.amplitude.oscillators import Oscillator, driven_record
 from tests.beam_ident.truth import OMEGAS, beam_record
 
 
@@ -22,7 +20,7 @@ def later(record: TimeRecord, by_s: float) -> TimeRecord:
 
 @pytest.mark.parametrize("delay", [0.0, 0.35, -1.3])
 def test_phases_alone_tell_when_outputs_were_stamped(delay):
-    found = coarse_delays([later(beam_record(1), delay)], "hub", 2)
+    found = coarse_delays([later(beam_record(1), delay)], "hub")
     assert found
     # Within a period of the slowest mode that moves much, which phases near its resonance blur.
     assert list(found.values()) == pytest.approx([delay] * len(found), abs=0.1)
@@ -32,33 +30,15 @@ def test_nothing_is_said_where_noise_hides_the_input_or_periods_repeat():
     record = beam_record(1)
     rng = np.random.default_rng(1)
     noise = tuple(dataclasses.replace(o, values=rng.standard_normal(len(o.values))) for o in record.outputs)
-    assert coarse_delays([dataclasses.replace(record, outputs=noise)], "hub", 2) == {}
+    assert coarse_delays([dataclasses.replace(record, outputs=noise)], "hub") == {}
     (drive,) = record.inputs
     still = dataclasses.replace(drive, values=np.zeros_like(drive.values))
-    assert coarse_delays([dataclasses.replace(record, inputs=(still,))], "hub", 2) == {}
+    assert coarse_delays([dataclasses.replace(record, inputs=(still,))], "hub") == {}
     times = np.arange(len(drive.values)) * 1e-3
     again = np.tile(rng.standard_normal(2000), len(times) // 2000 + 1)[: len(times)]
     output = dataclasses.replace(record.outputs[0], times_s=times[5::10], values=again[5::10])
     periodic = TimeRecord((dataclasses.replace(drive, times_s=times, values=again),), (output,))
-    assert coarse_delays([periodic], "hub", 2) == {}
-
-
-def test_outputs_that_end_before_their_input_are_not_taken_for_late():
-    # It moves between 1 and 15 Hz. At other lines the spectra show where the signals begin and end, and nothing else.
-    for seed in (0, 1):
-        record = ChangingModes(None, 10.0).record(seed)
-        outputs = tuple(
-            dataclasses.replace(own, times_s=own.times_s[:-20], values=own.values[:-20])
-            for own in record.outputs
-        )
-        found = coarse_delays([dataclasses.replace(record, outputs=outputs)], "base", 2)
-        assert all(delay == pytest.approx(0.0, abs=0.1) for delay in found.values()), found
-
-
-def test_phases_that_a_mode_turns_within_a_narrow_band_are_no_delay():
-    # A sweep about one mode: its own half a turn looks like a delay of a cycle or so.
-    record = driven_record(Oscillator(zeta=0.01), 1, noise=1e-4, duration_s=8.0)
-    assert coarse_delays([record], record.inputs[0].name, 2, 0.15) == {record.outputs[0].name: 0.0}
+    assert coarse_delays([periodic], "hub") == {}
 
 
 @pytest.mark.slow
