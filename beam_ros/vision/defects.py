@@ -133,11 +133,14 @@ def _defective(image: ImageArray, contrast: float) -> IndexArray:
     dots = np.zeros((0, 2), np.intp)
     if places is not None and len(places) <= _MOST * image.size:
         x, y = places.reshape(-1, 2).astype(np.intp).T
-        beyond = image[y, x] - _neighbours(image, y, x).sum(axis=0) / 2
+        apart = image[y, x] - _neighbours(image, y, x)
+        beyond = apart.sum(axis=0) / 2
         is_dot = np.maximum(beyond.min(axis=0), -beyond.max(axis=0)) > _SHARP * contrast
         dots = np.stack([y[is_dot], x[is_dot]], axis=1)
-        # A column stands out of what is to its left and right, a row of what is above and below.
-        in_column, in_row = (abs(beyond[:2]) > _SHARP_LINE * contrast) & ~is_dot
+        # A column stands out of what is to its left and right, a row of what is above and below: of both, for beside a
+        # defective one a sound one is far from the mean of its neighbours, too.
+        out_of_both = np.maximum(apart[:, :2].min(axis=0), -apart[:, :2].max(axis=0))
+        in_column, in_row = (out_of_both > _SHARP_LINE * contrast) & ~is_dot
         columns = np.union1d(columns, np.flatnonzero(np.bincount(x[in_column]) >= _LINE))
         rows = np.union1d(rows, np.flatnonzero(np.bincount(y[in_row]) >= _LINE))
     if not columns.size + rows.size + len(dots):
