@@ -137,8 +137,8 @@ def _defective(image: ImageArray, contrast: float) -> IndexArray:
         beyond = apart.sum(axis=0) / 2
         is_dot = np.maximum(beyond.min(axis=0), -beyond.max(axis=0)) > _SHARP * contrast
         dots = np.stack([y[is_dot], x[is_dot]], axis=1)
-        # A column stands out of what is to its left and right, a row of what is above and below: of both, for beside a
-        # defective one a sound one is far from the mean of its neighbours, too.
+        # A column stands out of what is to its left and right, a row of what is above and below. It does of both:
+        # beside a defective one a sound one is far from the mean of its neighbours, too.
         out_of_both = np.maximum(apart[:, :2].min(axis=0), -apart[:, :2].max(axis=0))
         in_column, in_row = (out_of_both > _SHARP_LINE * contrast) & ~is_dot
         columns = np.union1d(columns, np.flatnonzero(np.bincount(x[in_column]) >= _LINE))

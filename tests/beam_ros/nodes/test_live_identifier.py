@@ -58,10 +58,9 @@ def test_it_grows_with_a_rig_and_ends_with_the_answer_of_the_recorded_bag(
     model = identification_of_bags(tmp_path / "bag").result.model
     assert len(last.modes) == model.n_modes
     for mode, omega_hz, sd in zip(last.modes, model.frequencies_hz, model.natural_frequency_sd, strict=True):
-        # The bag goes on for a moment. What that moves an efficient estimate by has the
-        # variance by which its own has fallen.
-        moved = max(mode.frequency_sd_hz**2 - (sd / 6.2832) ** 2, 0.0) ** 0.5
-        assert abs(mode.frequency_hz - omega_hz) < 4.0 * moved + 0.1 * sd / 6.2832
+        # Both hear the same rig, and where the computer is busy not the same messages; on the same ones they agree to
+        # the last digit (tests/beam_ros/offline/test_live_estimate.py).
+        assert abs(mode.frequency_hz - omega_hz) < mode.frequency_sd_hz + sd / 6.2832
     for node in nodes:
         node.send_signal(signal.SIGINT)
     assert [node.wait(20.0) for node in nodes] == [0] * len(nodes), nodes[-1].output()
