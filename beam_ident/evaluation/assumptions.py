@@ -60,12 +60,12 @@ def assumptions(
     -------
     tuple of Assumption -- always the same ones in the same order, also those that could not be tested
     """
-    outputs = _outputs(result)
+    parts = _innovations(result)
     found = (
-        _as_modelled(outputs),
-        _independent(outputs),
-        _steady(outputs),
-        _driven(outputs, records),
+        _as_modelled(parts),
+        _independent(parts),
+        _steady(parts),
+        _driven(parts, records),
     )
     return _judged(found, level)
 
@@ -80,7 +80,7 @@ class _Part:
     innovations: FloatArray
 
 
-def _outputs(result: Any) -> list[list[_Part]]:
+def _innovations(result: Any) -> list[_Part]:
     """Return the innovations of every output, record by record; none of residuals that are rounding alone."""
     if not (hasattr(result, "scores") and hasattr(result, "records")):
         return []
@@ -89,9 +89,8 @@ def _outputs(result: Any) -> list[list[_Part]]:
     names = [
         name for model in models for name in getattr(model, "output_names", None) or (model.output_name,)
     ]
-    found = []
+    parts = []
     for name, fits in zip(names, of_outputs, strict=True):
-        parts = []
         for fit in fits:
             if are_rounding(fit.measured, fit.residuals):
                 continue
@@ -100,8 +99,7 @@ def _outputs(result: Any) -> list[list[_Part]]:
                 innovations = causal_convolution(fit.noise_coefficients, fit.residuals / fit.spread)
             first = len(fit.noise_coefficients) - 1  # before it, innovations lack what came before the record
             parts.append(_Part(name, fit.name, fit.times_s[first:], innovations[first:]))
-        found.append(parts)
-    return found
+    return parts
 
 
 def _together(p_values: Sequence[float]) -> float:
@@ -110,9 +108,9 @@ def _together(p_values: Sequence[float]) -> float:
     return -math.expm1(len(p_values) * math.log1p(-min(least, 1.0 - 1e-16)))
 
 
-def _as_modelled(outputs: Sequence[Sequence[_Part]]) -> Assumption:
+def _as_modelled(parts: Sequence[_Part]) -> Assumption:
     name = "noise is white, or of the colour that was modelled"
-    tested = [(Whiteness.of(part.innovations).p_value, part.output) for parts in outputs for part in parts]
+    tested = [(Whiteness.of(part.innovations).p_value, part.output) for part in parts]
     if not tested:
         return Assumption(name, "the result keeps no residuals that could be tested")
     return Assumption(
@@ -120,11 +118,11 @@ def _as_modelled(outputs: Sequence[Sequence[_Part]]) -> Assumption:
     )
 
 
-def _independent(outputs: Sequence[Sequence[_Part]]) -> Assumption:
+def _independent(parts: Sequence[_Part]) -> Assumption:
     """Test whether outputs have noise in common at instants that they share."""
     name = "noise of one output is not that of another"
     tested = []
-    for one, other in combinations([part for parts in outputs for part in parts], 2):
+    for one, other in combinations(parts, 2):
         if one.record != other.record or one.output == other.output:
             continue
         _, here, there = np.intersect1d(one.times_s, other.times_s, assume_unique=True, return_indices=True)
@@ -139,11 +137,11 @@ def _independent(outputs: Sequence[Sequence[_Part]]) -> Assumption:
     return Assumption(name, f"largest of {min(tested)[1]}", _together([p_value for p_value, _ in tested]))
 
 
-def _steady(outputs: Sequence[Sequence[_Part]], n_blocks: int = 8) -> Assumption:
+def _steady(parts: Sequence[_Part], n_blocks: int = 8) -> Assumption:
     """Test whether the noise has one variance throughout each record (Bartlett's test with the fourth moment)."""
     name = "noise is as loud at the end of a record as at its beginning"
     tested = []
-    for part in (part for parts in outputs for part in parts):
+    for part in parts:
         blocks = np.array_split(part.innovations, n_blocks)
         if len(part.innovations) < 20 * n_blocks:
             continue
@@ -160,12 +158,12 @@ def _steady(outputs: Sequence[Sequence[_Part]], n_blocks: int = 8) -> Assumption
     return Assumption(name, f"most at {min(tested)[1]}", _together([p_value for p_value, _ in tested]))
 
 
-def _driven(outputs: Sequence[Sequence[_Part]], records: Sequence[TimeRecord]) -> Assumption:
+def _driven(parts: Sequence[_Part], records: Sequence[TimeRecord]) -> Assumption:
     """Test whether what is left follows an input: dynamics, a path or a force that the model lacks."""
     name = "nothing that the input does is left out"
     by_name = {record.name: record for record in records}
     tested = []
-    for part in (part for parts in outputs for part in parts):
+    for part in parts:
         record = by_name.get(part.record)
         for drive in record.inputs if record is not None else ():
             # Of a white input neighbouring lags speak for themselves (prewhitening; Box and Jenkins 1970, ch. 11).

@@ -117,7 +117,7 @@ class UntilOutcome:
             else [
                 {
                     "frequency_hz": float(model.frequencies_hz[k]),
-                    "frequency_sd_hz": float(model.natural_frequency_sd[k] / (2.0 * math.pi)),
+                    "frequency_sd_hz": float(model.frequency_sd_hz[k]),
                     "damping_ratio": float(model.damping_ratios[k]),
                     "damping_ratio_sd": float(model.damping_ratio_sd[k]),
                 }

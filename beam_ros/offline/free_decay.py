@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -81,11 +80,10 @@ def identify_decay(
 
 
 def _described(decay: FreeDecay, notes: list[str]) -> dict[str, Any]:
-    hertz = 2.0 * math.pi
     modes = [
         {
-            "frequency_hz": float(decay.natural_frequencies[k]) / hertz,
-            "frequency_sd_hz": float(decay.natural_frequency_sd[k]) / hertz,
+            "frequency_hz": float(decay.frequencies_hz[k]),
+            "frequency_sd_hz": float(decay.frequency_sd_hz[k]),
             "damping_ratio": float(decay.damping_ratios[k]),
             "damping_ratio_sd": float(decay.damping_ratio_sd[k]),
             "amplitudes": {
