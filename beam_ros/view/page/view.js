@@ -294,7 +294,8 @@ function drawIdentification() {
   $("response").classList.toggle("none", !live || !live.response);
   $("assumptions").classList.toggle("none", !live || !live.tests.length);
   if (live) responseChart.setSize({ width: $("response-chart").clientWidth || 300, height: 300 });
-  say($("live"), live ? live.sentence : "No estimate is under way.");
+  say($("live"), live ? live.sentence : isBag ? "Nothing is estimated yet."
+    : "No estimate is under way, for no node live_identifier runs: `beam run live_identifier` starts it.");
   const modes = live ? live.modes : [], aims = live ? live.aims : [];
   $("modes").hidden = !modes.length;
   fill($("modes"), modes.map((mode, k) => [`${k + 1}`, ...withSd(mode.frequency_hz, mode.frequency_sd_hz),
