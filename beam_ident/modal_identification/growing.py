@@ -7,9 +7,9 @@ record has grown by a share, and as soon as a refit leaves residuals that are no
 something is missing. On the way a search ends early where it has used as much time as the whole record pays for;
 the one at the end takes what it takes. So the last answer, from a search on everything, is that of ``identify``.
 
-What is done when follows from what it costs: an estimate begins when enough was heard to have paid for the ones
-before, at a given share of one processor. The time for a fit goes with the duration of the record, and so does the
-time until the next: the estimate is behind by about the same share of the record at any length.
+What is done when follows from what it costs: an estimate begins when enough was heard to pay for the ones before, at
+a given share of one processor, and for another search. The time for a fit goes with the duration of the record, and
+so does the time until the next: the estimate is behind by about the same share of the record at any length.
 
 A record may forget what is old. What was heard then goes on, though the record grows no longer: it is what pays, and
 the part of the record that is new is what asks for a search.
@@ -101,7 +101,7 @@ class GrowingIdentification:
         self._begun_s: float | None = None  # before it nothing was heard [s]
         self.result: IdentificationResult | None = None
         self.complaint = ""
-        self.seconds_of_last_fit = self.spent_s = 0.0
+        self.seconds_of_last_fit = self.spent_s = self._seconds_of_search = 0.0
 
     @property
     def searched_s(self) -> float:
@@ -109,8 +109,8 @@ class GrowingIdentification:
         return 0.0 if self._searched is None else self._searched.heard_s
 
     def is_due(self, heard_s: float) -> bool:
-        """Return whether the time that was heard [s] has paid for the estimates that were made of it."""
-        return self.spent_s <= self._share * heard_s
+        """Return whether the time that was heard [s] pays for the estimates so far, and for one more search."""
+        return self.spent_s + self._seconds_of_search <= self._share * heard_s
 
     def grown(
         self, records: Growing, clock_rate: Prior | None = None, latency: Prior | None = None
@@ -177,6 +177,7 @@ class GrowingIdentification:
             if self.result is None or not is_stopped:
                 self.result, self._reached = found, reached
         self._pay(begun)
+        self._seconds_of_search = self.seconds_of_last_fit
         return self.result
 
     def _limited(self, end_s: float) -> Progress:

@@ -132,9 +132,10 @@ class LiveEstimate:
         states = [own for own in self._bag.sequence_states() if own.get("id") == self._sequence]
         return bool(self._sequence is not None and states and states[-1].get("state") in _OVER)
 
-    def _may_spend(self, duration_s: float) -> bool:
-        spent = self._spent_s + (self._growing.spent_s if self._growing else 0.0)
-        return spent <= self._settings.share_of_core * duration_s
+    def _may_spend(self, heard_s: float) -> bool:
+        """Return whether what was heard pays for an estimate, beside what was spent on all else."""
+        free_s = heard_s - self._spent_s / self._settings.share_of_core
+        return free_s >= 0.0 if self._growing is None else self._growing.is_due(free_s)
 
     def _estimate(self, begun: float) -> None:
         experiment = experiment_of(self._bag)
