@@ -29,7 +29,13 @@ class LiveIdentifier(RigNode):
         self._newest = self._published = self._estimate.newest()
         self._listening = [
             MatchedSubscription(
-                self, graph.TOPICS[topic], partial(self._hear, topic), depth=1000, raw=True, is_early=True
+                self,
+                graph.TOPICS[topic],
+                partial(self._hear, topic),
+                depth=1000,
+                raw=True,
+                is_early=True,
+                wakes=False,
             )
             for topic in self.row.subscribes
         ]
@@ -41,6 +47,8 @@ class LiveIdentifier(RigNode):
         self._heard.append((topic, bytes(data), info["received_timestamp"] or time.time_ns()))
 
     def _hand_over(self) -> None:
+        for subscription in self._listening:
+            subscription.take()
         if self._heard:
             heard, self._heard = self._heard, []
             self._estimate.hear(heard)

@@ -150,4 +150,5 @@ class _Watch:
         self._view.look()
         for entry in self._scene.new_entries(self._cursor):
             self._lines.say(log_line(entry))
-        self._lines.show(status_lines(self._scene))
+        if self._lines.is_watched:
+            self._lines.show(status_lines(self._scene))
