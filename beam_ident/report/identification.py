@@ -315,7 +315,7 @@ def _add_axis(page: Page, axis: AxisResult) -> None:
         interval = f"{value - 1.96 * sd:.6g} to {value + 1.96 * sd:.6g}"
         rows.append([meaning_of(name), unit, f"{value:.6g}", f"{sd:.2g}", interval])
     page.table(
-        ["", "unit", "estimate", "standard deviation", "95 %"],
+        ["parameter", "unit", "estimate", "standard deviation", "95 %"],
         rows,
         f"The axis, by {axis.method.replace('_', ' ')}, from {axis.n_samples} positions in {axis.n_pieces} stretches "
         "of motion. Dry friction that differs by direction and a constant force cannot be told apart: without a "

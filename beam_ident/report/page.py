@@ -130,7 +130,7 @@ class Page:
             )
         rows = [("measured by", operator), ("checked by", ""), ("approved by", "")]
         self.table(
-            ["", "name", "date", "signature"],
+            ["role", "name", "date", "signature"],
             [[*row, "", ""] for row in rows],
             "Signatures.",
             kind="signatures",
@@ -157,8 +157,13 @@ class Page:
         Raises
         ------
         ReportError
-            A row has another number of cells than there are columns.
+            A column without a heading, or a row with another number of cells than there are columns.
         """
+        if not all(columns):
+            raise ReportError(
+                f"the table {caption!r} has the columns {', '.join(map(repr, columns))}; expected a heading for "
+                "each: a screen reader says it with every cell"
+            )
         for number, row in enumerate(rows):
             if len(row) != len(columns):
                 raise ReportError(

@@ -163,6 +163,13 @@ def test_a_row_of_another_length_is_refused():
         Page("t", "l").table(["a", "b"], [["1", "2"], ["3"]], "T")
 
 
+def test_a_column_without_a_heading_is_refused():
+    with pytest.raises(
+        ReportError, match="the table 'T' has the columns '', 'b'; expected a heading for each"
+    ):
+        Page("t", "l").table(["", "b"], [["1", "2"]], "T")
+
+
 def test_nothing_is_overwritten_unless_it_is_allowed(tmp_path):
     path = tmp_path / "deeper" / "page.html"
     assert Page("first", "l").write(path) == path
