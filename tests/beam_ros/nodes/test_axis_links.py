@@ -269,7 +269,11 @@ def test_an_emulator_of_a_kind_that_a_package_adds_is_refused(executables) -> No
     assert "there is no emulator of it" in running.output()
 
 
-PAGE = (Path(__file__).parents[3] / "docs" / "connect-your-axis.md").read_text(encoding="utf-8")
+DOCS = Path(__file__).parents[3] / "docs"
+PAGE = "".join(
+    path.read_text(encoding="utf-8")
+    for path in (DOCS / "connect-your-axis.md", *sorted(DOCS.glob("axis-*.md")))
+)
 
 
 def test_the_page_has_a_row_for_every_kind_and_rig_files_that_are_right() -> None:
