@@ -268,7 +268,8 @@ def _far_delays(asked: IdentificationTask, conditions: Conditions, farthest: flo
     """Return how late outputs are as phases alone say, where nothing is known of it [s]."""
     if asked.latency.sd < farthest or len(asked.input_names) > 1 or asked.own_latencies:
         return {}
-    return coarse_delays(conditions.measured, asked.input_names[0], _BEGINS_FAR * farthest)
+    near_s, power = _BEGINS_FAR * farthest, conditions.terms.driving_power
+    return coarse_delays(conditions.measured, asked.input_names[0], near_s, power)
 
 
 def _prepared(

@@ -1,6 +1,6 @@
 """A state-space model without a start: PO-MOESP's poles, and the numerators that fit best under them.
 
-Equation numbers are those of docs/transfer-functions.md.
+Equation numbers are those of docs/transfer-function-equations.md.
 """
 
 from __future__ import annotations

@@ -15,7 +15,7 @@ found by Newton's method.
 Several records of one loop are one set of equations: every record has its own reference, offset and
 drift, and its residuals their own colour and level, by which it weighs.
 
-Equation numbers are those of docs/transfer-functions.md.
+Equation numbers are those of docs/transfer-function-equations.md.
 """
 
 from __future__ import annotations

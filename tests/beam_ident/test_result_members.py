@@ -26,7 +26,7 @@ from beam_ident import (
 )
 from tests.beam_ident import result_cases
 
-PAGE = Path(__file__).parents[2] / "docs" / "identification.md"
+PAGE = Path(__file__).parents[2] / "docs" / "results.md"
 OF_TWO_OUTPUTS = set(result_cases.OVER_SEVERAL_OUTPUTS) - {"fit_free_decay"}
 
 
