@@ -52,7 +52,8 @@ from beam_ident.report.modes import add_budgets, add_modes, add_poles, add_shape
 from beam_ident.report.page import Cell, Drawn, Page, Tone
 from beam_ident.report.validation import add_predictions, add_trials, add_validation
 from beam_ident.report.verdict import add_gates, add_verdict, judge
-from beam_ident.results import LineResult, Result, models_of
+from beam_ident.results import LineResult, Result
+from beam_ident.summary import models_of
 
 
 def write_report(path: str | Path, title: str, *parts: Any, overwrite: bool = False, **more: Any) -> Path:

@@ -261,7 +261,8 @@ def test_the_outcome_holds_what_was_estimated_and_the_page_shows_it(whole: Path)
         of_model = (whole / "estimates" / "modal" / own / "report.html").read_text(encoding="utf-8")
         assert "Prediction of unseen data" in of_model
         assert "On V1" in of_model
-        assert "not tried" not in of_model
+        assert "not tried on data" not in of_model
+        assert "not been tried" not in of_model
     page = (whole / "report.html").read_text(encoding="utf-8")
     for words in (
         "Linearity over levels",
