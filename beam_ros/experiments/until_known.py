@@ -50,6 +50,11 @@ class KnownSegment:
     relative_sd: dict[str, float]
     seconds_to_go: float
 
+    @property
+    def known(self) -> str:
+        """How well every aim's quantity is known, in words."""
+        return ", ".join(_known(name, sd) for name, sd in self.relative_sd.items())
+
 
 @dataclass(frozen=True, eq=False)
 class UntilOutcome:
@@ -93,7 +98,7 @@ class UntilOutcome:
             return f"Known as well as was asked after {cost}{beside}."
         last = self.segments[-1]
         missing = ", ".join(
-            f"{aim.name} to {_percent(last.relative_sd[aim.name])}, {_percent(aim.relative_sd)} asked"
+            f"{_known(aim.name, last.relative_sd[aim.name])}, {_percent(aim.relative_sd)} asked"
             for aim in self.aims
             if not last.relative_sd[aim.name] <= aim.relative_sd
         )
@@ -252,4 +257,8 @@ def _name(aim: Aim) -> str:
 
 
 def _percent(share: float) -> str:
-    return f"{100.0 * share:.2g} %" if math.isfinite(share) else "nothing at all"
+    return f"{100.0 * share:.2g} %"
+
+
+def _known(name: str, relative_sd: float) -> str:
+    return f"{name} to {_percent(relative_sd)}" if math.isfinite(relative_sd) else f"{name} not at all"

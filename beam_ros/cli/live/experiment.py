@@ -149,8 +149,7 @@ def _run_until(arguments: argparse.Namespace) -> int:
         return load_experiment(bag, rig)
 
     def told(segment: KnownSegment) -> None:
-        known = ", ".join(f"{name} to {100.0 * sd:.3g} %" for name, sd in segment.relative_sd.items())
-        print(f"  {segment.excitation}: {segment.n_modes} modes; {known}", file=sys.stderr)
+        print(f"  {segment.excitation}: {segment.n_modes} modes; {segment.known}", file=sys.stderr)
 
     outcome = experiment_until(rig, aims, record_segment, arguments.time, arguments.segment, told=told)
     write_whole(folder / "until.json", strict_json(outcome.to_dict(), indent=1))

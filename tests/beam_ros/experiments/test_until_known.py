@@ -15,7 +15,7 @@ from beam_ident import Aim, InputSignal, ModalModel, OutputSignal, Prior, TimeRe
 from beam_ros.errors import UsageError
 from beam_ros.excitation.optimal import theory_of_drive
 from beam_ros.excitation.recipes import recipe_of_rig
-from beam_ros.experiments.until_known import UntilOutcome, experiment_until, of_length
+from beam_ros.experiments.until_known import KnownSegment, UntilOutcome, experiment_until, of_length
 from beam_ros.offline.loading.experiment import Experiment
 from beam_ros.rig.rig import Rig
 from tests.beam_ros.conftest import Beam
@@ -115,10 +115,11 @@ def test_what_shows_no_mode_says_so() -> None:
 
 
 def test_a_mode_that_is_not_there_is_known_to_nothing() -> None:
-    segment = SimpleNamespace(duration_s=6.0, relative_sd={"f3": math.inf}, seconds_to_go=math.inf)
+    segment = KnownSegment("chirp", 6.0, 1, {"f1": 1e-4, "f3": math.inf}, math.inf)
+    assert segment.known == "f1 to 0.01 %, f3 not at all"
     aims = (Aim("f", 3, 1e-3),)
     outcome = UntilOutcome(aims, (segment,), object(), False, math.nan)  # type: ignore[arg-type]
-    assert "f3 to nothing at all, 0.1 % asked: it would take a time that is not known yet" in outcome.sentence
+    assert "f3 not at all, 0.1 % asked: it would take a time that is not known yet" in outcome.sentence
 
 
 def test_another_length_keeps_the_share_that_is_still() -> None:
