@@ -34,8 +34,8 @@ from beam_ident.numerics.free_motion import free_motions
 from beam_ident.numerics.piecewise import Instants, PiecewisePolynomial
 from beam_ident.numerics.pole_response import PoleResponses, SampledResponses
 
-CLOCK_MARGIN_S = 0.25  # how far a latency may move the stamps beyond the input's ends
-MAX_LATENCY_S = 0.2  # of a fit: within the margin, half an exposure included
+MAX_LATENCY_S = 0.2  # of a fit
+_MARGIN = 1.25  # of the farthest latency: how far stamps may lie beyond the input's ends, half an exposure included
 _LATENCY_SHARE = 0.1  # of a record that is shorter than two seconds: no latency is looked for beyond
 
 _MIN_SAMPLES = 20
@@ -108,7 +108,7 @@ class _Driving:
 
     def __init__(self, drive: InputSignal, structure: ModalStructure) -> None:
         self._measured, self._structure = drive, structure
-        self._margin_s = CLOCK_MARGIN_S / MAX_LATENCY_S * farthest_latency([drive])
+        self._margin_s = _MARGIN * farthest_latency([drive])
         self._is_position = structure.kind == "base_motion"
         self.rest = float(drive.values[0]) if self._is_position else 0.0
         self._responses: PoleResponses | None = None
@@ -446,6 +446,7 @@ class ModalRegression:
         self.structure = structure
         self.inputs = [chosen_inputs(record, input_name) for record in records]  # of every record
         self.max_latency_s = farthest_latency([drive for drives in self.inputs for drive in drives])
+        self.margin_s = _MARGIN * self.max_latency_s
         self.input_names = tuple(drive.name for drive in self.inputs[0])
         smooth = [[d if smoothing is None else smoothing.of(d) for d in drives] for drives in self.inputs]
         self.restarts = Restarts.at_poor_bridges(self.inputs, structure) if restarts is None else restarts

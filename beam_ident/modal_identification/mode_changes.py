@@ -11,7 +11,7 @@ import numpy as np
 from beam_ident.arrays import FloatArray
 from beam_ident.modal.fit import ModalFit
 from beam_ident.modal.mode_change import ModeChange, changes_of, over_swing, over_time
-from beam_ident.modal.regression import CLOCK_MARGIN_S, ModalRegression
+from beam_ident.modal.regression import ModalRegression
 
 _TURN = (
     1e-3  # radians by which a difference turns a phase at most: its square is what it is wrong by, as a share
@@ -51,7 +51,7 @@ def moved_on(change: ModeChange, regression: ModalRegression, fit: ModalFit) -> 
             output, best, highest = j, squares, float(np.max(squares))
     if not highest:
         return change
-    course, begins, swing = over_swing(plain.times[output], best, 2.0 * math.pi / omega, CLOCK_MARGIN_S)
+    course, begins, swing = over_swing(plain.times[output], best, 2.0 * math.pi / omega, plain.margin_s)
     return replace(change, omega=omega, course=course, begins=begins, swing=swing)
 
 
