@@ -61,11 +61,12 @@ docs: ## the pages of docs/ and the API reference as HTML, into build/docs (warn
 	@$(SETUP) --extras rig,docs -- python -m sphinx -W --keep-going -q -E -b html docs build/docs
 	@echo "build/docs/index.html"
 
-dist: ## source archive and wheel into dist/, with their metadata and contents checked
+dist: ## archive and wheel into dist/, checked, with a list of components and checksums
 	@rm -rf dist
 	@$(SETUP) --extras ros,test,dev -- python -m build -o dist
 	@$(SETUP) --extras ros,test,dev -- python -m twine check --strict dist/*
 	@$(SETUP) --extras ros,test,dev -- check-manifest
+	@$(SETUP) --extras ros,test,dev -- python .ci/release.py seal dist
 
 compiled: ## a copy of the tree with the tracker as machine code, in build/compiled (needs a C compiler)
 	@rm -rf build/compiled && mkdir -p build/compiled

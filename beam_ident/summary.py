@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import html
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from importlib import import_module
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
 from beam_ident.quantities import r_squared, small, with_uncertainty
+from beam_ident.results import models_of
 
 if TYPE_CHECKING:
     from beam_ident.arrays import FloatArray
@@ -92,6 +94,85 @@ class Summarised:
             part.html() if isinstance(part, SummaryTable) else f"<p>{html.escape(part)}</p>"
             for part in self.summary_parts()
         )
+
+
+class SummarisedModes(Summarised):
+    """The summary of whatever has modes, or models that have: with their columns, and where they lie."""
+
+    def mode_columns(self) -> dict[str, FloatArray]:
+        """Return the modes of all models, one under the other, as columns that any table takes.
+
+        Returns
+        -------
+        dict of str to ndarray, shape (n_modes,) -- ``model`` and ``mode``, both from 1, ``frequency_hz`` and
+            ``damping_ratio`` with ``frequency_sd_hz`` and ``damping_ratio_sd``, NaN where none is known
+        """
+        models = [path for own in models_of(self) for path in getattr(own, "pole_sets", (own,))]  # type: ignore[arg-type]
+        found = [np.array(own.modes()) for own in models]
+        omegas, zetas, omega_sd, zeta_sd = np.concatenate(found, axis=1)
+        counts = [own.shape[1] for own in found]
+        return {
+            "model": np.repeat(np.arange(1, len(counts) + 1), counts),
+            "mode": np.concatenate([np.arange(1, count + 1) for count in counts]),
+            "frequency_hz": omegas / (2.0 * np.pi),
+            "frequency_sd_hz": omega_sd / (2.0 * np.pi),
+            "damping_ratio": zetas,
+            "damping_ratio_sd": zeta_sd,
+        }
+
+    def to_dataframe(self) -> Any:
+        """Return ``mode_columns`` as a pandas table; ImportError without pandas, which this alone needs."""
+        try:
+            pandas = import_module("pandas")
+        except ImportError as err:
+            raise ImportError(
+                "to_dataframe needs pandas, which is not installed: `pip install pandas`, or take mode_columns()"
+            ) from err
+        return pandas.DataFrame(self.mode_columns())
+
+    def _repr_html_(self) -> str:
+        """Return the summary as HTML, for notebooks, with a picture of where the modes lie."""
+        return super()._repr_html_() + modes_picture(self.mode_columns())
+
+
+def modes_picture(columns: Mapping[str, FloatArray], width: int = 360, height: int = 130) -> str:
+    """Return a small SVG: damping over frequency, with bars of two standard deviations where these are to be seen.
+
+    Parameters
+    ----------
+    columns : mapping -- as of ``SummarisedModes.mode_columns``
+    width, height : int -- [px]
+    """
+    hertz, percent = columns["frequency_hz"], 100.0 * columns["damping_ratio"]
+    if not len(hertz):
+        return ""
+    left, foot, half = 46, height - 30, 3.0
+    across = (width - left - 14) / (1.1 * float(np.max(hertz)))
+    up = (foot - 10) / (1.2 * float(np.max(np.abs(percent))) or 1.0)
+    bars, dots = [], []
+    spreads = 2.0 * np.nan_to_num([columns["frequency_sd_hz"], 100.0 * columns["damping_ratio_sd"]])
+    for f, z, (f_2sd, z_2sd) in zip(hertz, percent, spreads.T, strict=True):
+        x, y = left + across * f, foot - up * z
+        dx, dy = min(across * f_2sd, width), min(up * z_2sd, height)
+        bars.append(f"M{x - dx:.1f} {y:.1f}H{x + dx:.1f}M{x:.1f} {y - dy:.1f}V{y + dy:.1f}")
+        dots.append(
+            f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{half}"><title>{f:.6g} Hz, {z:.4g} %</title></circle>'
+        )
+    words = [
+        f'<text x="{left + across * f:.1f}" y="{foot + 13}" text-anchor="middle">{f:.4g}</text>'
+        for f in (0.0, float(np.max(hertz)))
+    ]
+    words.append(f'<text x="{width // 2}" y="{height - 3}" text-anchor="middle">frequency [Hz]</text>')
+    words += [
+        f'<text x="{left - 4}" y="{foot - up * z + 4:.1f}" text-anchor="end">{z:.3g} %</text>'
+        for z in (0.0, float(np.max(percent)))
+    ]
+    return (
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{width}" height="{height}" viewBox="0 0 {width} {height}" '
+        'role="img" aria-label="damping ratios over frequencies of the modes" fill="currentColor" '
+        f'stroke="none" font-size="11"><path d="M{left} 6V{foot}H{width - 8}{"".join(bars)}" stroke="currentColor" '
+        f'fill="none"/>{"".join(dots)}{"".join(words)}</svg>'
+    )
 
 
 def modes_table(

@@ -1,11 +1,12 @@
 """Time and memory of ``beam info`` and ``beam identify`` on a long bag, and what an interruption leaves.
 
-    python -m benchmarks.long_bag [--seconds 3600] [--interrupt SECONDS] [--folder DIR]
+    python -m benchmarks.long_bag [--seconds 3600] [--rate 200] [--interrupt SECONDS] [--folder DIR] [--live]
 
 The bag is one that a recorder makes: a hub at 1 kHz whose encoder counts 0.1 um, three markers at 200 frames a
 second with 5 um of noise, clock comparisons every 100 ms.  Looking at it, reading it and identifying from it run
 in processes of their own; times are processor seconds, memory is the peak of the process.  With --interrupt, SIGINT
-is sent so many seconds after the start, and what the command then says and writes is shown.
+is sent so many seconds after the start, and what the command then says and writes is shown.  With --live the estimate
+that grows hears the bag instead, quicker than it was recorded, and says what it took of every stretch.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from beam_ros.bags.writing import BagWriter
 from beam_ros.excitation.plan import plan_excitation
 from beam_ros.hub.contract import ClockSync, SampleBatch
 from beam_ros.messages import BagTypes
+from beam_ros.offline.recorded_estimates import estimates_of_bag
 from beam_ros.rig.rig import Rig
 from benchmarks.ident_cost import filmed_record
 
@@ -37,11 +39,12 @@ _READ = (
 )
 
 
-def write_bag(path: Path, seconds: float) -> None:
+def write_bag(path: Path, seconds: float, rate: int) -> None:
     """Write a bag of a rig that runs its excitation over and over."""
+    every = round(1e9 / (_TICK_NS * _FRAME_TICKS)) // rate
     n_frames = round(seconds * 1e9 / (_TICK_NS * _FRAME_TICKS))
     record = filmed_record(n_frames, is_known=False)
-    rig = Rig.from_file().with_texts(["camera.rate:=200.0", "camera.exposure:=0.004"])
+    rig = Rig.from_file().with_texts([f"camera.rate:={rate}.0", "camera.exposure:=0.004"])
     types, hub = BagTypes(), record.inputs[0].values
     names = record.output_names
     seen = np.stack([output.values for output in record.outputs], axis=1)
@@ -61,7 +64,7 @@ def write_bag(path: Path, seconds: float) -> None:
             while frame < len(stamps) and stamps[frame] < now:
                 told = messages.displacement(types, int(stamps[frame]), names, seen[frame])
                 bag.write_message("beam/displacement", now, told)
-                frame += 1
+                frame += every
 
 
 def measured(command: list[str], interrupt_s: float | None = None) -> tuple[float, float, int, str]:
@@ -78,6 +81,21 @@ def measured(command: list[str], interrupt_s: float | None = None) -> tuple[floa
     return seconds, peak_mb, process.returncode, said
 
 
+def hear(bag: Path, stretch_s: float = 60.0) -> None:
+    """Let the growing estimate hear a bag; print what it takes of the processor and of memory, stretch by stretch."""
+    begun, after_s = time.process_time(), 0.0
+    for at_s, live in estimates_of_bag(bag, Rig.from_file().live):
+        if at_s >= after_s + stretch_s:
+            now, resident = time.process_time(), int(Path("/proc/self/statm").read_text().split()[1])
+            print(
+                f"{at_s:6.0f} s: {100.0 * (now - begun) / (at_s - after_s):5.1f} ms for 0.1 s, "
+                f"{resident * os.sysconf('SC_PAGE_SIZE') / 1e6:5.0f} MB, {len(live.modes)} modes from "
+                f"{live.record_s:.0f} s, the last fit took {live.cost.seconds_of_last_fit:.1f} s",
+                flush=True,
+            )
+            begun, after_s = now, at_s
+
+
 def main() -> None:
     """Write the bag, read it, identify from it."""
     parser = argparse.ArgumentParser(
@@ -88,12 +106,19 @@ def main() -> None:
         "--interrupt", type=float, metavar="SECONDS", help="send SIGINT so long after the start"
     )
     parser.add_argument("--folder", type=Path, help="where the bag is made, or stands already")
+    parser.add_argument("--rate", type=int, choices=(100, 200), default=200, help="frames a second")
+    parser.add_argument(
+        "--live", action="store_true", help="let the estimate that grows hear it, and no more"
+    )
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary:
         folder = arguments.folder or Path(temporary)
-        bag = folder / f"long_{arguments.seconds:g}"
+        bag = folder / f"long_{arguments.seconds:g}_{arguments.rate}"
         if not bag.exists():
-            write_bag(bag, arguments.seconds)
+            write_bag(bag, arguments.seconds, arguments.rate)
+        if arguments.live:
+            hear(bag)
+            return
         report = Path(temporary) / "report"
         beam = str(Path(sys.executable).with_name("beam"))
         info = [beam, "info", str(bag)]

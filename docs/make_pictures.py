@@ -25,15 +25,17 @@ from matplotlib.figure import Figure
 from matplotlib.patches import FancyArrowPatch, Rectangle
 from PIL import Image
 
-from beam_ident import analyse_modes, identify
+from beam_ident import LogChirp, analyse_modes, identify
 from beam_ident.figures import (
     amplitude_figure,
     best_linear_figure,
+    excitation_figure,
     fit_figure,
     frequency_response_figure,
     mode_shape_figure,
     response_over_model_figure,
     stabilisation_figure,
+    time_figure,
 )
 from beam_ident.figures.response_curves import drawing_lines, response_curves
 from beam_ident.responses.local_polynomial import local_polynomial_response
@@ -170,6 +172,47 @@ def identification_pictures() -> dict[str, Figure]:
         "measured-response": response_over_model_figure([measured], result.model),
         "mode-shapes": shapes,
     }
+
+
+def tutorial_pictures() -> dict[str, Figure]:
+    """Draw what the first tutorial draws, from its code."""
+    names = names_of_page("tutorials/first-identification.md", 5)
+    return {
+        "tutorial-record": time_figure(names["record"]),
+        "tutorial-fit": fit_figure(names["result"].outputs),
+    }
+
+
+def excitation_picture(rig: Rig) -> Figure:
+    """Draw the default chirp: its levels over time, its density over frequency, and the modes in it."""
+    recorded = load_experiment(ROOT / "bags" / "chirp_6s")
+    model = identify(recorded.record, recorded.structure, clock_rate=recorded.clock_rate).model
+    chirp = LogChirp(
+        start_frequency=1.0, end_frequency=95.0, duration=20.0, acceleration=0.7, max_displacement=0.005
+    )
+    return excitation_figure(chirp.sample(rig.hub.period), model)
+
+
+def frame_picture(rig: Rig) -> Figure:
+    """Draw a frame, and one marker of it as close as its pixels are, with its centre and its uncertainty."""
+    camera, heights = rig.camera_parameters(), np.array(rig.markers.heights)
+    strip = np.linspace(0.0, rig.beam.length, 60)
+    renderer = SceneRenderer(camera, heights, strip_heights=strip)
+    image = renderer.render(displacement(rig, heights), np.random.default_rng(1), displacement(rig, strip))
+    found = MarkerTracker(rig.tracker_parameters(), len(heights), FrameTiming(camera)).process(image, 0)
+    tip = found.markers[-1]
+    figure = Figure(figsize=(8.0, 4.4), layout="constrained")
+    whole, close = figure.subplots(1, 2)
+    whole.imshow(image, cmap="gray", vmin=0, vmax=255)
+    whole.plot(
+        [m.u_px for m in found.markers], [m.v_px for m in found.markers], "+", color=MARKER, markersize=14
+    )
+    whole.set(xlabel="u [px]", ylabel="v [px]", title="a frame, and the markers found in it")
+    close.imshow(image, cmap="gray", vmin=0, vmax=255)
+    close.plot(tip.u_px, tip.v_px, "+", color=MARKER, markersize=28, markeredgewidth=2)
+    close.set(xlim=(tip.u_px - 11, tip.u_px + 11), ylim=(tip.v_px + 11, tip.v_px - 11), xlabel="u [px]")
+    close.set_title(f"one of them: u = {tip.u_px:.3f} +- {tip.sigma_px:.3f} px", fontsize=11)
+    return figure
 
 
 def names_of_page(page: str, blocks: int) -> dict[str, Any]:
@@ -411,6 +454,9 @@ def make_pictures(folder: Path) -> list[Path]:
     folder.mkdir(parents=True, exist_ok=True)
     figures = {
         "rig": rig_picture(Rig.from_file()),
+        "frame": frame_picture(Rig.from_file()),
+        "excitation": excitation_picture(Rig.from_file()),
+        **tutorial_pictures(),
         **identification_pictures(),
         "stabilisation": stabilisation_picture(),
         "clocks": clocks_picture(Rig.from_file()),

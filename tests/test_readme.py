@@ -13,6 +13,7 @@ from beam_ros.interfaces.graph import NODES, SERVICES, TOPICS
 ROOT = Path(__file__).parent.parent
 TESTS = "".join(path.read_text(encoding="utf-8") for path in (ROOT / "tests").rglob("test_*.py"))
 README = (ROOT / "README.md").read_text(encoding="utf-8")
+TABLES = README + (ROOT / "docs" / "topics.md").read_text(encoding="utf-8")
 
 
 def test_every_module_of_a_verb_is_listed() -> None:
@@ -29,10 +30,19 @@ def test_every_verb_node_topic_and_service_is_in_the_tables() -> None:
     for node in NODES.values():
         assert f"| `{node.executable}` | `{node.name}` | {node.meaning} |" in README
     for topic in TOPICS.values():
-        assert f"| `{topic.name}` | {topic.type_name.replace('/msg/', '/')} |" in README
-        assert topic.meaning in README
+        assert f"| `{topic.name}` | {topic.type_name.replace('/msg/', '/')} |" in TABLES
+        assert topic.meaning in TABLES
     for service in SERVICES:
-        assert f"`{service}`" in README
+        assert f"`{service}`" in TABLES
+
+
+def anchors(page: Path) -> set[str]:
+    """Return the names under which the headings of a page are linked."""
+    text = re.sub(r"^```.*?^```", "", page.read_text(encoding="utf-8"), flags=re.M | re.S)
+    headings = (
+        re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", line) for line in re.findall(r"^#+ (.*)$", text, re.M)
+    )
+    return {re.sub(r"[^\w\- ]", "", line.strip().lower()).replace(" ", "-") for line in headings}
 
 
 PAGES = (*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), *(ROOT / "bags").glob("*.md"))
@@ -41,9 +51,11 @@ PAGES = (*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), *(ROOT / "bags").gl
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_every_file_that_a_page_links_or_names_is_there(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
-    for target in re.findall(r"\]\(([^)#]+)", text):
+    for target, anchor in re.findall(r"\]\(([^)#]*)#?([^)]*)\)", text):
+        linked = page.parent / target if target else page
         if "://" not in target:
-            assert (page.parent / target).exists(), f"{page.name} links to {target}"
+            assert linked.exists(), f"{page.name} links to {target}"
+            assert not anchor or anchor in anchors(linked), f"{page.name} links to {target}#{anchor}"
     for name in re.findall(r"`((?:beam_\w+|tests|docs|benchmarks|examples)/[\w./-]+)`", text):
         assert (ROOT / name).exists(), f"{page.name} names {name}"
     for name in re.findall(r"\b(test_\w+\.py)\b", text):

@@ -132,7 +132,6 @@ TESTED_IN = (
     ("beam_ros/hub/emulated", "odrive servo", "hub/links/test_odrive"),
     ("beam_ros/hub/links", "polled_hub query_line", "hub/links/test_dynamixel"),
     ("beam_ros/hub/emulated", "trajectory_controller", "hub/links/test_trajectory"),
-    ("beam_ros/hub/links", "host_paced_hub", "hub/links/test_trajectory"),
     ("beam_ros/hub/simulated", "beam_points", "rig/test_filming"),
     ("beam_ros/hub/simulated", "motion encoder limits sequence_buffer", "hub/simulated/test_axis"),
     ("beam_ros/interfaces", "parameter", "interfaces/test_rig_parameters"),

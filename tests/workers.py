@@ -21,7 +21,9 @@ LIVE = {
         "tests/packaging/test_plug_in.py",
     ),
     "ports": (
-        *(f"tests/beam_ros/hub/{room}/" for room in ("emulated", "line", "links")),
+        "tests/beam_ros/hub/emulated/",
+        *(f"tests/beam_ros/hub/line/test_{name}.py" for name in ("connection", "driver", "transport")),
+        *(f"tests/beam_ros/hub/links/test_{name}.py" for name in ("csv_board", "host_paced_hub", "probe")),
         "tests/beam_ros/bags/live/",
         "tests/beam_ros/view/test_server.py",
         "tests/beam_ros/experiments/test_conduct.py",

@@ -9,7 +9,7 @@ does not excite show the same distortion as even and as odd.
 In a loop the distortion comes back through the input, and the input is correlated with it.  Correlation with a
 reference that is none of the loop's own signals removes that, and the noise of a measured input as well.
 
-Equation numbers are those of docs/frequency-domain.md.
+Equation numbers are those of docs/frequency-equations.md.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """What a best linear approximation is: a response, and what scatters about it line by line.
 
-Equation numbers are those of docs/frequency-domain.md.
+Equation numbers are those of docs/frequency-equations.md.
 """
 
 from __future__ import annotations

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import replace
 
 import numpy as np
@@ -33,9 +34,9 @@ class GrowingRecord:
         if not memory_s > 0.0:
             raise RecordError(f"memory_s is {memory_s!r}; expected a time above 0 s")
         self._begun, self._memory_s = begun, memory_s
-        self._pieces: dict[str, list[tuple[FloatArray, FloatArray]]] = {
-            **{own.name: [(own.times_s, _as_measured(own))] for own in begun.inputs},
-            **{own.name: [(own.times_s, own.values)] for own in begun.outputs},
+        self._pieces: dict[str, deque[tuple[FloatArray, FloatArray]]] = {
+            **{own.name: deque([(own.times_s, _as_measured(own))]) for own in begun.inputs},
+            **{own.name: deque([(own.times_s, own.values)]) for own in begun.outputs},
         }
 
     def add(self, name: str, times_s: ArrayLike, values: ArrayLike) -> None:
@@ -65,13 +66,16 @@ class GrowingRecord:
                 f"{name!r}: stamps from {times[0]:.6g} s on follow {last:.6g} s and do not rise: its clock stepped "
                 "back. Begin a record of its own there, and identify both together"
             )
-        self._pieces[name].append((times, samples))
+        pieces = self._pieces[name]
+        pieces.append((times, samples))
+        while pieces[0][0][-1] < times[-1] - self._memory_s:
+            pieces.popleft()
 
     @property
-    def duration_s(self) -> float:
-        """From the first to the last sample of the input that is kept [s]."""
-        pieces = self._pieces[self._begun.inputs[0].name]
-        return min(float(pieces[-1][0][-1] - pieces[0][0][0]), self._memory_s)
+    def heard_s(self) -> float:
+        """From the first sample of the input that ever came to the newest one [s], kept or not."""
+        drive = self._begun.inputs[0]
+        return float(self._pieces[drive.name][-1][0][-1]) - drive.span_s[0]
 
     def record(self) -> TimeRecord:
         """Return the record as it is now."""
@@ -79,9 +83,7 @@ class GrowingRecord:
         inputs, outputs = [], []
         for drive in self._begun.inputs:
             times, values = self._kept(drive.name, newest)
-            known = np.flatnonzero(
-                np.isfinite(values)
-            )  # an input begins and ends with a sample that is known
+            known = np.flatnonzero(np.isfinite(values))  # an input begins and ends with a known sample
             there = slice(int(known[0]), int(known[-1]) + 1)
             inputs.append(replace(drive, times_s=times[there], values=values[there], gaps=()))
         for output in self._begun.outputs:
@@ -93,7 +95,7 @@ class GrowingRecord:
         """Return the samples of a signal that are kept, as one piece from now on."""
         times, values = (np.concatenate(part) for part in zip(*self._pieces[name], strict=True))
         first = int(np.searchsorted(times, newest - self._memory_s))
-        self._pieces[name] = [(times[first:], values[first:])]
+        self._pieces[name] = deque([(times[first:], values[first:])])
         return self._pieces[name][0]
 
 

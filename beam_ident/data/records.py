@@ -556,6 +556,19 @@ class TimeRecord(Summarised):
             self.name,
         )
 
+    def from_instant(self, start_ns: int) -> TimeRecord:
+        """Return the record with its time counted from another instant [ns, UNIX]."""
+        by_s = (self.start_ns - start_ns) * 1e-9
+        if not by_s:
+            return self
+
+        def moved(drive: InputSignal) -> InputSignal:
+            gaps = (replace(gap, start_s=gap.start_s + by_s, end_s=gap.end_s + by_s) for gap in drive.gaps)
+            return replace(drive, times_s=drive.times_s + by_s, gaps=tuple(gaps))
+
+        outputs = tuple(replace(own, times_s=own.times_s + by_s) for own in self.outputs)
+        return TimeRecord(tuple(map(moved, self.inputs)), outputs, start_ns, self.name)
+
     def select(self, output_names: Sequence[str]) -> TimeRecord:
         """Return the record with some of its outputs only."""
         return TimeRecord(self.inputs, tuple(self.output(n) for n in output_names), self.start_ns, self.name)

@@ -13,7 +13,7 @@ from beam_ident.data.stored_form import ADDED_LATER, read, require_shapes, writt
 from beam_ident.modal.identification_result import OrderEntry
 from beam_ident.modal.mode_values import ModeValues
 from beam_ident.noise.scores import Scores, Whiteness
-from beam_ident.summary import Summarised, SummaryPart, modes_table, result_parts
+from beam_ident.summary import SummarisedModes, SummaryPart, modes_table, result_parts
 
 SCHEMA = 2
 
@@ -46,7 +46,7 @@ class Harmonic:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class FreeDecay(Summarised, ModeValues):
+class FreeDecay(SummarisedModes, ModeValues):
     """Modes of a free decay.
 
     Attributes

@@ -15,7 +15,7 @@ from beam_ident.modal.structure import ModalStructure
 from beam_ident.noise.line_misfit import LineMisfit
 from beam_ident.noise.record_fit import OverOutputs, RecordFit
 from beam_ident.noise.scores import Scores, Whiteness
-from beam_ident.summary import Summarised, SummaryPart, modes_table, result_parts
+from beam_ident.summary import SummarisedModes, SummaryPart, modes_table, result_parts
 
 
 @dataclass(frozen=True)
@@ -123,7 +123,7 @@ class FrequencyChange:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class IdentificationResult(Summarised, OverOutputs):
+class IdentificationResult(SummarisedModes, OverOutputs):
     """A modal model and what is to be known about its estimation.
 
     Attributes
@@ -186,7 +186,7 @@ class IdentificationResult(Summarised, OverOutputs):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class FrequencyDomainResult(Summarised):
+class FrequencyDomainResult(SummarisedModes):
     """A modal model from frequency data.
 
     Attributes

@@ -1,7 +1,7 @@
 """Columns of the modal model at the lines of a frequency record.
 
 Holds, exposures and folded lines enter through the record's ``Folding``: a line's column is the sum over all
-frequencies that fall into its bin, equation (F.4) of ``docs/frequency-domain.md``, so that a response measured
+frequencies that fall into its bin, equation (F.4) of ``docs/frequency-equations.md``, so that a response measured
 through a zero-order hold, or above half the camera's rate, is compared with what the model would show there.
 """
 

@@ -33,13 +33,13 @@ from beam_ident.modal.realisation import (
 )
 from beam_ident.modal.regression import ClockState, forced_columns
 from beam_ident.modal.structure import ModalStructure, StructureKind
-from beam_ident.summary import Summarised, SummaryPart, estimates_table, modes_table
+from beam_ident.summary import SummarisedModes, SummaryPart, estimates_table, modes_table
 
 SCHEMA = 1
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ModalModel(Summarised, ModeValues):
+class ModalModel(SummarisedModes, ModeValues):
     """A sum of second-order modes with common poles over all outputs, and over all inputs where there are several.
 
     Attributes

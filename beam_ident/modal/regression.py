@@ -7,7 +7,7 @@ the columns of that linear problem and their exact derivatives with respect to
 ``log omega``, ``zeta`` and the instant of measurement.  Outputs that share stamps
 share columns.
 
-Equation numbers are those of docs/identification.md.
+Equation numbers are those of docs/likelihood.md.
 """
 
 from __future__ import annotations

@@ -42,7 +42,7 @@ from beam_ident.noise.line_misfit import UNKNOWN_NOISE, LineMisfit, weighting_lo
 from beam_ident.noise.line_weights import line_weights, stacked_values
 from beam_ident.numerics.blas_threads import on_one_thread
 from beam_ident.sensing.line_causes import FittedLines, line_causes
-from beam_ident.summary import Summarised, SummaryPart, modes_table, result_parts
+from beam_ident.summary import SummarisedModes, SummaryPart, modes_table, result_parts
 
 SCHEMA = 2
 
@@ -52,7 +52,7 @@ _UNCERTAIN = 0.3  # relative standard deviation of a damping ratio beyond which 
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ModalAnalysis(Summarised, ModeValues):
+class ModalAnalysis(SummarisedModes, ModeValues):
     """Modes of a structure from its frequency responses.
 
     Attributes

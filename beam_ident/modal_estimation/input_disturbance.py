@@ -11,7 +11,7 @@ has left of it.  The same system run backwards gives the most likely true input
 
 with q the density of the noise, its variance times the sampling period.
 
-Equation numbers are those of docs/identification.md.
+Equation numbers are those of docs/likelihood.md.
 """
 
 from __future__ import annotations

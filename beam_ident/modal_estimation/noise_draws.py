@@ -5,7 +5,7 @@ the bias of errors in variables.  It looks like information, and it lets the sco
 those of many quadratic forms in noise that has passed low-pass, model and exposures; seeded draws know them as
 exactly as the model itself does, whatever a filter takes the noise for.
 
-Equation numbers are those of docs/identification.md.
+Equation numbers are those of docs/likelihood.md.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 The values of every output j (samples of a record or of a decay, lines of a frequency response) are linear in
 gains, residues, offsets and free responses once the poles and the clock, ``theta``, are known; equation numbers are
-those of ``docs/identification.md``:
+those of ``docs/likelihood.md``:
 
     y_j = X_j(theta) b_j + e_j                                                                       (I.7)
 

@@ -15,7 +15,7 @@ estimate nor are its plain intervals right.  The residuals of such a fit show th
 
 Gauss-Newton steps on all parameters, the linear ones included, end where both hold.
 
-Equation numbers are those of docs/identification.md.
+Equation numbers are those of docs/likelihood.md.
 """
 
 from __future__ import annotations

@@ -9,7 +9,7 @@ A line ``delta(t) = latency + rate (t - m)`` must explain them all with one real
 each mode and output, and how well it does costs next to nothing to compute, so that
 the whole plane of latencies and rates is looked at.
 
-Equation numbers are those of docs/identification.md.
+Equation numbers are those of docs/likelihood.md.
 """
 
 from __future__ import annotations

@@ -7,9 +7,12 @@ record has grown by a share, and as soon as a refit leaves residuals that are no
 something is missing. On the way a search ends early where it has used as much time as the whole record pays for;
 the one at the end takes what it takes. So the last answer, from a search on everything, is that of ``identify``.
 
-What is done when follows from what it costs: an estimate begins when the record is long enough to have paid for
-the ones before, at a given share of one processor. The time for a fit goes with the duration of the record, and so
-does the time until the next: the estimate is behind by about the same share of the record at any length.
+What is done when follows from what it costs: an estimate begins when enough was heard to pay for the ones before, at
+a given share of one processor, and for another search. The time for a fit goes with the duration of the record, and
+so does the time until the next: the estimate is behind by about the same share of the record at any length.
+
+A record may forget what is old. What was heard then goes on, though the record grows no longer: it is what pays, and
+the part of the record that is new is what asks for a search.
 """
 
 from __future__ import annotations
@@ -17,6 +20,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 
 from beam_ident.data.batches import Progress
 from beam_ident.data.growing_record import GrowingRecord
@@ -33,6 +37,18 @@ from beam_ident.numerics.blas_threads import one_blas_thread
 Growing = TimeRecord | Sequence[TimeRecord] | GrowingRecord
 
 
+@dataclass(frozen=True)
+class _Arrived:
+    """Records as they are, and how much was heard until then [s]: more than they last where they forget."""
+
+    records: list[TimeRecord]
+    heard_s: float
+
+    @property
+    def duration_s(self) -> float:
+        return duration_of(self.records)
+
+
 class GrowingIdentification:
     """The modes of one record, or of several of one system, that still grow.
 
@@ -40,8 +56,8 @@ class GrowingIdentification:
     ----------
     structure, n_modes, latency, clock_rate, input_name, max_modes : optional
         As ``identify`` takes them.
-    share_of_core : float -- of one processor's time, over the record's duration, that estimates may take
-    growth : float -- a search is due when the record is so many times as long as at the last one
+    share_of_core : float -- of one processor's time, over the time that was heard, that estimates may take
+    growth : float -- a search is due when as much is new as makes the record of the last one so many times as long
     processor_time : callable -- returns the time that this process has spent [s]
     progress : callable or None -- as ``identify`` takes it, of searches
 
@@ -81,19 +97,20 @@ class GrowingIdentification:
         self._share, self._growth = share_of_core, growth
         self._processor_time, self._progress = processor_time, progress
         self._reached: Reached | None = None
-        self._searched_at: tuple[int, float] | None = None  # number of records, and their duration [s]
+        self._searched: _Arrived | None = None
+        self._begun_s: float | None = None  # before it nothing was heard [s]
         self.result: IdentificationResult | None = None
         self.complaint = ""
-        self.seconds_of_last_fit = self.spent_s = 0.0
+        self.seconds_of_last_fit = self.spent_s = self._seconds_of_search = 0.0
 
     @property
     def searched_s(self) -> float:
-        """Duration of the records at the last search [s]; 0 before the first."""
-        return 0.0 if self._searched_at is None else self._searched_at[1]
+        """How much had been heard at the last search [s]; 0 before the first."""
+        return 0.0 if self._searched is None else self._searched.heard_s
 
-    def is_due(self, duration_s: float) -> bool:
-        """Return whether records of so long a duration have paid for the estimates that were made of them."""
-        return self.spent_s <= self._share * duration_s
+    def is_due(self, heard_s: float) -> bool:
+        """Return whether the time that was heard [s] pays for the estimates so far, and for one more search."""
+        return self.spent_s + self._seconds_of_search <= self._share * heard_s
 
     def grown(
         self, records: Growing, clock_rate: Prior | None = None, latency: Prior | None = None
@@ -109,13 +126,13 @@ class GrowingIdentification:
         -------
         IdentificationResult or None -- None as long as no mode is found; ``complaint`` says why
         """
-        if isinstance(records, GrowingRecord) and not self.is_due(records.duration_s):
+        if isinstance(records, GrowingRecord) and not self.is_due(records.heard_s):
             return self.result
-        present = _records_of(records)
-        if self.is_due(duration_of(present)) and (
-            self._has_grown(present) or not self._is_refitted(present, clock_rate)
+        arrived = self._arrived(records)
+        if self.is_due(arrived.heard_s) and (
+            self._has_grown(arrived) or not self._is_refitted(arrived.records, clock_rate)
         ):
-            self.searched(present, clock_rate, latency, self._share * duration_of(present))
+            self._search(arrived, clock_rate, latency, self._share * arrived.duration_s)
         return self.result
 
     def searched(
@@ -130,13 +147,17 @@ class GrowingIdentification:
         A search that finds nothing, or takes more processor time than ``limit_s``, leaves the result before it in
         place, if there is one, and says why in ``complaint``.
         """
-        present, ends = _records_of(records), list[Reached]()
-        self._searched_at = len(present), duration_of(present)
+        return self._search(self._arrived(records), clock_rate, latency, limit_s)
+
+    def _search(
+        self, arrived: _Arrived, clock_rate: Prior | None, latency: Prior | None, limit_s: float
+    ) -> IdentificationResult | None:
+        self._searched, ends = arrived, list[Reached]()
         begun = self._processor_time()
         try:
             with one_blas_thread():
                 found = identified(
-                    present,
+                    arrived.records,
                     self._structure,
                     self._n_modes,
                     latency or self._latency,
@@ -156,6 +177,7 @@ class GrowingIdentification:
             if self.result is None or not is_stopped:
                 self.result, self._reached = found, reached
         self._pay(begun)
+        self._seconds_of_search = self.seconds_of_last_fit
         return self.result
 
     def _limited(self, end_s: float) -> Progress:
@@ -177,9 +199,9 @@ class GrowingIdentification:
         """
         if not self._meets(aims):
             return False
-        present = _records_of(records)
-        if self._searched_at != (len(present), duration_of(present)):
-            self.searched(present, clock_rate)
+        arrived = self._arrived(records)
+        if not self._is_searched(arrived):
+            self._search(arrived, clock_rate, None, math.inf)
         return not self.complaint and self._meets(aims)
 
     def _meets(self, aims: Sequence[Aim]) -> bool:
@@ -190,12 +212,30 @@ class GrowingIdentification:
             aim.seconds_to_go(result.model, 1.0) == 0.0 and not result.doubts[aim.mode - 1] for aim in aims
         )
 
-    def _has_grown(self, records: Sequence[TimeRecord]) -> bool:
-        """Return whether the last search was made of much less than there is."""
-        if self._searched_at is None:
+    def _is_searched(self, arrived: _Arrived) -> bool:
+        """Return whether nothing has come since the last search."""
+        last = self._searched
+        return last is not None and (len(last.records), last.heard_s) == (
+            len(arrived.records),
+            arrived.heard_s,
+        )
+
+    def _has_grown(self, arrived: _Arrived) -> bool:
+        """Return whether much is new since the last search, beside what it was made of."""
+        last = self._searched
+        if last is None or len(last.records) != len(arrived.records):
             return True
-        number, duration_s = self._searched_at
-        return number != len(records) or duration_of(records) >= self._growth * duration_s
+        return arrived.heard_s - last.heard_s >= (self._growth - 1.0) * last.duration_s
+
+    def _arrived(self, records: Growing) -> _Arrived:
+        if isinstance(records, GrowingRecord):
+            return _Arrived([records.record()], records.heard_s)
+        present = [records] if isinstance(records, TimeRecord) else list(records)
+        duration_s = duration_of(present)
+        newest_s = max(one.start_ns * 1e-9 + one.inputs[0].span_s[1] for one in present)
+        if self._begun_s is None:
+            self._begun_s = newest_s - duration_s
+        return _Arrived(present, max(duration_s, newest_s - self._begun_s))
 
     def _is_refitted(self, records: Sequence[TimeRecord], clock_rate: Prior | None) -> bool:
         """Let all samples say where the modes are that were found; return whether no search is asked for."""
@@ -225,9 +265,3 @@ class GrowingIdentification:
 def duration_of(records: Sequence[TimeRecord]) -> float:
     """Return for how long the inputs of records are known, all together [s]."""
     return sum(last - first for first, last in (one.inputs[0].span_s for one in records))
-
-
-def _records_of(records: Growing) -> list[TimeRecord]:
-    if isinstance(records, GrowingRecord):
-        return [records.record()]
-    return [records] if isinstance(records, TimeRecord) else list(records)

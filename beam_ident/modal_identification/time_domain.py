@@ -227,13 +227,17 @@ def refitted(reached: Reached, records: Sequence[TimeRecord], clock_rate: Prior 
         They cannot be fitted any more.
     """
     end, asked = reached.end, reached.asked
+    known = end.conditions.measured
     names = list(dict.fromkeys(name for one in records for name in one.output_names))
-    prepared, _ = _prepared(list(records), end.conditions.terms, names, asked.input_names)
+    present = [
+        own if before is None else own.from_instant(before.start_ns)
+        for own, before in zip(records, [*known, *[None] * len(records)], strict=False)
+    ]
+    prepared, _ = _prepared(present, end.conditions.terms, names, asked.input_names)
     conditions = replace(
         end.conditions,
         measured=[
-            _without_masked(own, known)
-            for own, known in itertools.zip_longest(prepared.measured, end.conditions.measured)
+            _without_masked(own, before) for own, before in itertools.zip_longest(prepared.measured, known)
         ],
         found_noise=prepared.found_noise,
         start=end.weighed.fit,
@@ -246,9 +250,15 @@ def _without_masked(record: TimeRecord, known: TimeRecord | None) -> TimeRecord:
     """Return a record without the samples that did not count while it was shorter."""
     if known is None:
         return record
-    masked = {own.name: own.times_s[~own.is_valid] for own in known.outputs}
+    # To the nanosecond: an origin that has moved leaves a rounding.
+    masked = {own.name: np.rint(1e9 * own.times_s[~own.is_valid]) for own in known.outputs}
     outputs = tuple(
-        replace(own, values=np.where(np.isin(own.times_s, masked.get(own.name, ())), np.nan, own.values))
+        replace(
+            own,
+            values=np.where(
+                np.isin(np.rint(1e9 * own.times_s), masked.get(own.name, ())), np.nan, own.values
+            ),
+        )
         for own in record.outputs
     )
     return replace(record, outputs=outputs)
@@ -258,7 +268,8 @@ def _far_delays(asked: IdentificationTask, conditions: Conditions, farthest: flo
     """Return how late outputs are as phases alone say, where nothing is known of it [s]."""
     if asked.latency.sd < farthest or len(asked.input_names) > 1 or asked.own_latencies:
         return {}
-    return coarse_delays(conditions.measured, asked.input_names[0], _BEGINS_FAR * farthest)
+    near_s, power = _BEGINS_FAR * farthest, conditions.terms.driving_power
+    return coarse_delays(conditions.measured, asked.input_names[0], near_s, power)
 
 
 def _prepared(

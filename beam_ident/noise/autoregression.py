@@ -9,7 +9,7 @@ an autoregressive model whose order BIC chooses.
 So do the lines of a frequency response, where neighbours share an error (a window, zero padding, a local smoother):
 their autoregression is complex, and runs over the lines.
 
-Equation numbers are those of docs/identification.md.
+Equation numbers are those of docs/likelihood.md.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ Neither a Kalman filter nor a loop over samples is needed.  A free motion of ord
 instants, so that p coefficients predict it from the p samples before.  What that prediction leaves is noise
 driven since then: its covariance is banded, and its Cholesky factor is one call of LAPACK for all columns.
 
-Equation numbers are those of docs/identification.md.
+Equation numbers are those of docs/likelihood.md.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ The maximum of the likelihood is found by least squares in turns (Fisher scoring
 information w of its interval on m, and stands at ``m + s/w`` instead of y, s being the slope of ``log P``.  Samples
 near an edge of their interval say most; those in the middle of a wide one say nothing.
 
-Equation numbers are those of docs/identification.md.
+Equation numbers are those of docs/likelihood.md.
 """
 
 from __future__ import annotations

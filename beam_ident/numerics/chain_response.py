@@ -7,7 +7,7 @@ together are one lower bidiagonal matrix, whose exponential advances states and
 signal exactly over any step (its entries are the divided differences of the
 exponential at the poles; Opitz 1964).
 
-Equation numbers are those of docs/transfer-functions.md.
+Equation numbers are those of docs/transfer-function-equations.md.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ polynomial between its knots.  Everything the estimators need from an input
 follows exactly from its coefficients: values, derivatives, antiderivatives, box
 averages and (in ``numerics.pole_response``) the response of a pole to it.
 
-Equation numbers are those of docs/identification.md.
+Equation numbers are those of docs/likelihood.md.
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ On a regular grid the recursion is unrolled over blocks of knots: the states ins
 block are a matrix product with the coefficients of the block, and only one state
 per block is left to recur.  That is the same sum in another order, several times quicker.
 
-Equation numbers are those of docs/identification.md.
+Equation numbers are those of docs/likelihood.md.
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@ which ``numerics.pole_response`` gives at any instant.  Where poles meet, the fr
 would cancel: then the poles stay together in a chain (``numerics.chain_response``),
 which is exact for double poles too, and slower.
 
-Equation numbers are those of docs/transfer-functions.md.
+Equation numbers are those of docs/transfer-function-equations.md.
 """
 
 from __future__ import annotations

@@ -131,7 +131,8 @@ def identification_page(
     models = models_of(result)
     modes = mode_rows(models, known)
     agreement = None if theory is None else beside_theory(modes, theory)
-    doubts = result.doubts if isinstance(result, IdentificationResult) else ()
+    modal = result if isinstance(result, IdentificationResult) else None
+    doubts, changes = ((), ()) if modal is None else (modal.doubts, modal.frequency_changes)
     page = Page(title, _lead(records, result, modes), simulated, drawn)
     longest = max(records, key=lambda one: one.outputs[0].times_s[-1] - one.outputs[0].times_s[0])
     shown = busiest_stretch(longest)
@@ -139,7 +140,7 @@ def identification_page(
     page.section("Verdict")
     add_verdict(page, judge(result, gates, validation, agreement, records))
     page.section("Modes")
-    add_modes(page, modes, doubts)
+    add_modes(page, modes, doubts, changes)
     _add_fit(page, result, outputs)
     add_response(page, shown, models, modes)
     page.section("Validation")

@@ -11,6 +11,7 @@ import numpy as np
 from beam_ident import figures
 from beam_ident.arrays import FloatArray
 from beam_ident.figures.response_curves import response_curves
+from beam_ident.modal.identification_result import FrequencyChange
 from beam_ident.modal.model import ModalModel
 from beam_ident.quantities import (
     decimals,
@@ -28,8 +29,13 @@ from beam_ident.transfer_function.model import TransferFunctionModel
 _TURN = 2.0 * np.pi
 
 
-def add_modes(page: Page, modes: Sequence[ModeRow], doubts: Sequence[str] = ()) -> None:
-    """Add the table of modes with 95 % intervals."""
+def add_modes(
+    page: Page,
+    modes: Sequence[ModeRow],
+    doubts: Sequence[str] = (),
+    changes: Sequence[FrequencyChange] = (),
+) -> None:
+    """Add the table of modes with 95 % intervals, and that of the frequencies that changed meanwhile."""
     if not modes:
         page.paragraph("The outputs follow a rigid body, and no mode stands out of the noise.")
         return
@@ -55,6 +61,26 @@ def add_modes(page: Page, modes: Sequence[ModeRow], doubts: Sequence[str] = ()) 
         "The modes; ± is the standard uncertainty of all known sources together. A damping ratio holds at the "
         "amplitude of this experiment only.",
     )
+    if changes:
+        page.table(
+            ["mode", "over", "from [Hz]", "to [Hz]", "change [%]", "95 % interval [%]"],
+            [_changed(modes[own.mode].name, own) for own in changes],
+            "Natural frequencies that changed while they were recorded; the table above has the one in between. Over "
+            "time: from the first stamp to the last; over the swing: from rest to the largest amplitude.",
+        )
+
+
+def _changed(name: str, own: FrequencyChange) -> list[str]:
+    percent, percent_sd = 100.0 * own.share, 100.0 * own.share_sd
+    places = decimals(percent_sd * own.from_hz / 100.0)
+    return [
+        name,
+        "time" if own.over == "time" else f"swing of {small(own.swing)}",
+        f"{own.from_hz:.{places}f}",
+        f"{own.to_hz:.{places}f}",
+        with_uncertainty(percent, percent_sd),
+        interval(percent, percent_sd),
+    ]
 
 
 def add_budgets(page: Page, modes: Sequence[ModeRow]) -> None:

@@ -3,7 +3,7 @@
 The transient that leaks into every line is a smooth function of frequency and is estimated along
 (Pintelon and Schoukens 2012, ch. 7).
 
-Equation numbers are those of docs/frequency-domain.md.
+Equation numbers are those of docs/frequency-equations.md.
 """
 
 from collections.abc import Sequence

@@ -12,7 +12,7 @@ Input and outputs keep their own clocks (``periods``).  An output sampled slower
 highest line folds it, and every line is reported at the frequency that was excited, above
 half the output's rate too.  What else falls on a line stands in its ``Folding``.
 
-Equation numbers are those of docs/frequency-domain.md.
+Equation numbers are those of docs/frequency-equations.md.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ least squares over the samples of each period: the normal equations are Toeplitz
 as no hole between stamps reaches half the period of the highest line, these are well conditioned (Groechenig 1992);
 a period with a longer hole is left out.
 
-Equation numbers are those of docs/frequency-domain.md.
+Equation numbers are those of docs/frequency-equations.md.
 """
 
 from __future__ import annotations

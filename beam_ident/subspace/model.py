@@ -1,6 +1,6 @@
 """A state-space model without a start: PO-MOESP's poles, and the numerators that fit best under them.
 
-Equation numbers are those of docs/transfer-functions.md.
+Equation numbers are those of docs/transfer-function-equations.md.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from beam_ident.sensing.damage import damage_warnings
 from beam_ident.sensing.misfit_causes import misfit_warnings
 from beam_ident.sensing.quantisation import clipped_warnings
 from beam_ident.subspace.po_moesp import N_BLOCK_ROWS, Stretch, Window, subspace_windows
-from beam_ident.summary import Summarised, SummaryPart, modes_table, result_parts
+from beam_ident.summary import SummarisedModes, SummaryPart, modes_table, result_parts
 from beam_ident.transfer_function.structure_gates import UNRELATED
 
 SCHEMA = 1
@@ -45,7 +45,7 @@ _INITIAL_MOTION_LEVEL = 0.01  # how often free motion is estimated along where t
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class SubspaceModel(Summarised):
+class SubspaceModel(SummarisedModes):
     """What a subspace estimate found.
 
     Attributes

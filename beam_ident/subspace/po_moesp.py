@@ -9,7 +9,7 @@ given number of block rows, a longer window means averaging and decimating input
 output alike.  The poles are not efficient, but they lie in the basin of the refined
 estimators, lightly damped modes under as much noise as signal included.
 
-Equation numbers are those of docs/transfer-functions.md.
+Equation numbers are those of docs/transfer-function-equations.md.
 """
 
 from __future__ import annotations

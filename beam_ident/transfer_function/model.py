@@ -15,14 +15,14 @@ from beam_ident.data.stored_form import checked_entries, complaints_about, plain
 from beam_ident.errors import EstimationError, ModelFormatError
 from beam_ident.numerics.piecewise import Instants
 from beam_ident.numerics.rational_response import RationalResponse, poles_keep_apart, upper_roots
-from beam_ident.summary import Summarised, SummaryPart, estimates_table, modes_table
+from beam_ident.summary import SummarisedModes, SummaryPart, estimates_table, modes_table
 from beam_ident.transfer_function.output_prediction import OutputPrediction
 
 SCHEMA = 1
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class TransferFunctionModel(Summarised):
+class TransferFunctionModel(SummarisedModes):
     """A single-input, single-output continuous-time model.
 
     Attributes

@@ -14,7 +14,7 @@ from beam_ident.data.argument_checks import require_input_signal, require_record
 from beam_ident.data.records import InputSignal, TimeRecord
 from beam_ident.data.stored_form import checked_entries, complaints_about, names_of, plain
 from beam_ident.errors import EstimationError, ModelFormatError
-from beam_ident.summary import Summarised, SummaryPart
+from beam_ident.summary import SummarisedModes, SummaryPart
 from beam_ident.transfer_function.model import TransferFunctionModel
 from beam_ident.transfer_function.output_prediction import OutputPrediction
 
@@ -22,7 +22,7 @@ SCHEMA = 1
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class MultiInputModel(Summarised):
+class MultiInputModel(SummarisedModes):
     """A continuous-time model from several inputs to one output.
 
     Attributes
@@ -78,6 +78,11 @@ class MultiInputModel(Summarised):
         """Return the summary's tables and sentences."""
         paths = (self.path(name) for name in self.input_names)
         return [part for path in paths for part in path.summary_parts()]
+
+    @property
+    def pole_sets(self) -> tuple[TransferFunctionModel, ...]:
+        """A path for every set of poles: one alone where all inputs share them."""
+        return tuple(self.path(place) for place in range(len(self.denominators)))
 
     @property
     def has_common_poles(self) -> bool:
@@ -176,8 +181,7 @@ class MultiInputModel(Summarised):
 
     def free_motions(self, elapsed: FloatArray, exposure_s: float) -> FloatArray:
         """Return a constant, what integrators do on their own, and the free motions, as columns."""
-        paths = [self.path(place) for place in range(len(self.denominators))]
-        return np.concatenate([path.free_motions(elapsed, exposure_s) for path in paths], axis=1)
+        return np.concatenate([path.free_motions(elapsed, exposure_s) for path in self.pole_sets], axis=1)
 
     def frequency_response(self, omegas: FloatArray) -> tuple[ComplexArray, FloatArray]:
         """Return responses and standard deviations of their magnitudes, shape (n_frequencies, n_inputs).

@@ -7,7 +7,7 @@ descent as in González et al., arXiv 2401.01263), and Levenberg-Marquardt with 
 gradients goes from there to the joint optimum.  Where its residuals still look like
 anything but noise, the inputs have another round.
 
-Equation numbers are those of docs/transfer-functions.md.
+Equation numbers are those of docs/transfer-function-equations.md.
 """
 
 from __future__ import annotations

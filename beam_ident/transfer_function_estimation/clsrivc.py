@@ -15,7 +15,7 @@ found by Newton's method.
 Several records of one loop are one set of equations: every record has its own reference, offset and
 drift, and its residuals their own colour and level, by which it weighs.
 
-Equation numbers are those of docs/transfer-functions.md.
+Equation numbers are those of docs/transfer-function-equations.md.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from beam_ident.numerics.rational_response import RationalResponse, full_roots, 
 from beam_ident.sensing.damage import damage_warnings
 from beam_ident.sensing.misfit_causes import input_misfit_warnings
 from beam_ident.sensing.quantisation import clipped_warnings
-from beam_ident.summary import Summarised, SummaryPart, result_parts
+from beam_ident.summary import SummarisedModes, SummaryPart, result_parts
 from beam_ident.transfer_function.model import TransferFunctionModel
 from beam_ident.transfer_function.sampled_controller import SampledController
 from beam_ident.transfer_function.structure_gates import (
@@ -57,7 +57,7 @@ _WHITENINGS = 3
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class ClosedLoopResult(Summarised, OverOneOutput):
+class ClosedLoopResult(SummarisedModes, OverOneOutput):
     """The plant that was found in a loop.
 
     Attributes

@@ -40,7 +40,7 @@ from beam_ident.sensing.clock_rate import clocks_of_record
 from beam_ident.sensing.damage import damage_warnings, without_repeated
 from beam_ident.sensing.misfit_causes import input_misfit_warnings
 from beam_ident.sensing.quantisation import without_clipped
-from beam_ident.summary import Summarised, SummaryPart, result_parts
+from beam_ident.summary import SummarisedModes, SummaryPart, result_parts
 from beam_ident.transfer_function.model import TransferFunctionModel
 from beam_ident.transfer_function.multi_input_model import MultiInputModel
 from beam_ident.transfer_function.structure_gates import (
@@ -73,7 +73,7 @@ Model = TypeVar("Model", TransferFunctionModel, MultiInputModel)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class CommonPoleFit(Summarised, Generic[Model]):
+class CommonPoleFit(SummarisedModes, Generic[Model]):
     """Models with one denominator and what is to be known about their estimation.
 
     Attributes

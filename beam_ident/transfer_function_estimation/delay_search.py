@@ -6,7 +6,7 @@ is a correlation, which the fast Fourier transform gives at once.  What remains 
 small system for every delay.  The minima of the profiles behind several filters are the candidates;
 which of them is right is decided by the output error.
 
-Equation numbers are those of docs/transfer-functions.md.
+Equation numbers are those of docs/transfer-function-equations.md.
 """
 
 from __future__ import annotations

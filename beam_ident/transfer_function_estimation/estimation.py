@@ -40,7 +40,7 @@ from beam_ident.sensing.damage import damage_warnings, without_repeated
 from beam_ident.sensing.misfit_causes import input_misfit_warnings
 from beam_ident.sensing.quantisation import without_clipped
 from beam_ident.sensing.still_noise import StillNoise, found_noise_warning
-from beam_ident.summary import Summarised, SummaryPart, result_parts
+from beam_ident.summary import SummarisedModes, SummaryPart, result_parts
 from beam_ident.transfer_function.model import TransferFunctionModel
 from beam_ident.transfer_function.multi_input_model import MultiInputModel
 from beam_ident.transfer_function.structure_gates import (
@@ -129,7 +129,7 @@ class RationalFit(OverOneOutput):
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class TransferFunctionResult(Summarised, RationalFit):
+class TransferFunctionResult(SummarisedModes, RationalFit):
     """A transfer function and what is to be known about its estimation.
 
     Attributes
@@ -146,7 +146,7 @@ class TransferFunctionResult(Summarised, RationalFit):
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class MultiInputResult(Summarised, RationalFit):
+class MultiInputResult(SummarisedModes, RationalFit):
     """Transfer functions from several inputs and what is to be known about their estimation.
 
     Attributes
@@ -163,7 +163,7 @@ class MultiInputResult(Summarised, RationalFit):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class SeparateOutputsResult(Summarised, OverOutputs):
+class SeparateOutputsResult(SummarisedModes, OverOutputs):
     """A transfer function of every output, each estimated by itself and with poles of its own.
 
     Attributes

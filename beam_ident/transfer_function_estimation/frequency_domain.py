@@ -28,7 +28,7 @@ from beam_ident.numerics.levenberg_marquardt import Minimum, minimise
 from beam_ident.numerics.linear_least_squares import LinearSolution
 from beam_ident.numerics.vector_fitting import full_poles, relocated_poles, spread_poles
 from beam_ident.sensing.line_causes import FittedLines, line_causes
-from beam_ident.summary import Summarised, SummaryPart, result_parts
+from beam_ident.summary import SummarisedModes, SummaryPart, result_parts
 from beam_ident.transfer_function.model import TransferFunctionModel
 from beam_ident.transfer_function.structure_gates import information_criterion, structure_complaint
 from beam_ident.transfer_function_estimation.estimation import DelayLike, delay_prior
@@ -44,7 +44,7 @@ _DEEP = 0.4  # of a period of the highest line: steps in which a delay is looked
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class FrequencyTransferFunctionResult(Summarised):
+class FrequencyTransferFunctionResult(SummarisedModes):
     """A transfer function from frequency data.
 
     Attributes

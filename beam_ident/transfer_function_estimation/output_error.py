@@ -11,7 +11,7 @@ antiderivatives are exact.
 One record is the usual case.  Several share denominators, numerators and delays, while every one has
 nuisances and noise of its own; a noise model (``noise.noise_model``) weighs them.
 
-Equation numbers are those of docs/transfer-functions.md.
+Equation numbers are those of docs/transfer-function-equations.md.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ likelihood of any poles of the pool, all linear parameters solved anew, costs a 
 hundred rows.  From a point of the likelihood every pole, pair, and couple of real poles is exchanged for those of the
 pool which explain most without it (the exchange of Fedorov (1972), as matching pursuit with replacement).
 
-Equation numbers are those of docs/transfer-functions.md.
+Equation numbers are those of docs/transfer-function-equations.md.
 """
 
 from __future__ import annotations

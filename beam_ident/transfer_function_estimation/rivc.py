@@ -9,7 +9,7 @@ the stationary point of the output error so weighed is RIVC's fixed point, the m
 likelihood.  System and noise take turns until neither moves: their estimates are uncorrelated, so
 that a few turns are enough.
 
-Equation numbers are those of docs/transfer-functions.md.
+Equation numbers are those of docs/transfer-function-equations.md.
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ Instruments and gradients are exact responses of ``s^i B / A^2`` to the held inp
 that SRIVC's fixed point is the stationary point of the output-error cost; the
 interpolation of the *measured* output inside the filters only affects the way there.
 
-Equation numbers are those of docs/transfer-functions.md.
+Equation numbers are those of docs/transfer-function-equations.md.
 """
 
 from __future__ import annotations

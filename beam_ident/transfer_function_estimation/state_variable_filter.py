@@ -4,7 +4,7 @@ Behind a filter 1/F(s) the equation ``A y = B u`` holds for the filtered derivat
 in the coefficients: ``s^n/F y = -sum_i a_i s^(n-i)/F y + sum_j b_j s^j/F u``.  With F = A and exact
 responses as instruments the same regression is a step of SRIVC.
 
-Equation numbers are those of docs/transfer-functions.md.
+Equation numbers are those of docs/transfer-function-equations.md.
 """
 
 from __future__ import annotations

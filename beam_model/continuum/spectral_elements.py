@@ -13,7 +13,7 @@ the identity: however thin the strip, nothing locks.
 
 Lengths are in units of L, masses in rho L, stiffnesses in EI/L^3.
 
-Equation numbers are those of docs/beam-model.md.
+Equation numbers are those of docs/beam-equations.md.
 """
 
 from __future__ import annotations

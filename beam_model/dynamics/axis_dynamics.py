@@ -8,7 +8,7 @@ controller's own sampling. Air drag and large deflections, where they are wanted
 States of the hub: *moving* in one direction against friction, or *held*, at rest by friction or a stop, while
 the beam goes on vibrating on it. The state vector says which: a held hub's velocity is 0 exactly.
 
-Equation numbers are those of docs/beam-model.md.
+Equation numbers are those of docs/beam-equations.md.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ its coefficients are linear in state and input, hence one matrix product. In Ber
 between its smallest and largest coefficient: where all are positive there is no zero, however it swings in
 between. That test costs microseconds; only where it fails the interval is halved until each zero stands alone.
 
-Equation numbers are those of docs/beam-model.md.
+Equation numbers are those of docs/beam-equations.md.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ The model is linear and its input is held between ticks, so that the step from o
 matrix computed once, X_{k+1} = e^{AT} X_k + int_0^T e^{As} ds B u_k: no step size, no drift, and the state
 between two ticks is as exact as at them.
 
-Equation numbers are those of docs/beam-model.md.
+Equation numbers are those of docs/beam-equations.md.
 """
 
 from __future__ import annotations

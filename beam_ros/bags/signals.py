@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -168,14 +168,15 @@ class Intake(Generic[_T]):
     ----------
     unreadable : Unreadable -- what was left out so far
     is_filled : bool -- the bag has been read to its end
+    n_seen : int -- messages that were taken so far, readable or not
     """
 
     def __init__(self, type_name: str, decode: Callable[[bytes], _T]) -> None:
         self.unreadable = Unreadable()
         self.is_filled = False
         self._type_name, self._decode = type_name, decode
-        self._items: list[tuple[int, _T]] = []
-        self._n_seen = 0
+        self._items: list[tuple[int, int, _T]] = []
+        self.n_seen = 0
 
     def take(self, block: Block) -> None:
         """Take the messages of a block."""
@@ -184,11 +185,15 @@ class Intake(Generic[_T]):
         elif len(block.starts):
             reason = f"type {block.topic.type_name}: expected {self._type_name}"
             self.leave_out(reason, len(block.starts))
-        self._n_seen += len(block.starts)
+        self.n_seen += len(block.starts)
 
     def items(self) -> list[_T]:
         """Return what was decoded one by one, in the order in which it came."""
-        return [item for _, item in sorted(self._items, key=lambda item: item[0])]
+        return [item for *_, item in sorted(self._items, key=lambda item: item[0])]
+
+    def forget(self, n_first: int) -> None:
+        """Let go of what the first messages said, so many as are counted from the very first one."""
+        self._items = [kept for kept in self._items if kept[1] >= n_first]
 
     def leave_out(self, reason: str, count: int = 1) -> None:
         """Count messages that are left out."""
@@ -204,11 +209,10 @@ class Intake(Generic[_T]):
             except (MessageDecodeError, MessageContentError) as err:
                 self.leave_out(str(err))
             else:
-                self._keep(int(block.receive_ns[k]), self._n_seen + k, item)
+                self._keep(int(block.receive_ns[k]), self.n_seen + k, item)
 
     def _keep(self, receive_ns: int, number: int, item: _T) -> None:
-        del number
-        self._items.append((receive_ns, item))
+        self._items.append((receive_ns, number, item))
 
 
 class _TableIntake(Intake[_T], ABC):
@@ -267,6 +271,16 @@ class _Batches:
     length: int
     quantities: Mapping[str, FloatArray]
 
+    def later(self, n_first: int) -> _Batches:
+        """Return those from a number on."""
+        kept = self.numbers >= n_first
+        if kept.all():
+            return self
+        quantities = {name: values[kept] for name, values in self.quantities.items()}
+        return replace(
+            self, numbers=self.numbers[kept], stamps_ns=self.stamps_ns[kept], quantities=quantities
+        )
+
 
 class HubIntake(_TableIntake[SampleBatch]):
     """Makes one signal of the batches of ``hub/measured`` or ``hub/applied``.
@@ -294,7 +308,7 @@ class HubIntake(_TableIntake[SampleBatch]):
             for name, field in BATCH_FIELDS.items()
             if getattr(sample, name) is not None
         }
-        numbers = self._n_seen + alike.numbers[taken]
+        numbers = self.n_seen + alike.numbers[taken]
         self._batches.append(
             _Batches(numbers, stamps_ns[taken], sample.period_ns, sample.epoch, len(sample), quantities)
         )
@@ -306,6 +320,10 @@ class HubIntake(_TableIntake[SampleBatch]):
             self.leave_out("batch with stamp 0: expected the time of its first sample")
             return
         self._batches.append(_as_table(number, item))
+
+    def forget(self, n_first: int) -> None:
+        """Let go of the first batches."""
+        self._batches = [later for own in self._batches if len((later := own.later(n_first)).numbers)]
 
     def samples(self) -> HubSamples | None:
         """Return the signal, None where there is nothing that can be read."""
@@ -428,6 +446,13 @@ class _Frames:
     stamps_ns: StampArray
     positions: FloatArray
 
+    def later(self, n_first: int) -> _Frames:
+        """Return those from a number on."""
+        kept = self.numbers >= n_first
+        if kept.all():
+            return self
+        return _Frames(self.numbers[kept], self.names, self.stamps_ns[kept], self.positions[kept])
+
 
 class DisplacementIntake(_TableIntake[Displacement]):
     """Makes one table of the messages of ``beam/displacement``.
@@ -447,7 +472,7 @@ class DisplacementIntake(_TableIntake[Displacement]):
         stamps_ns = layout.times_ns("header.stamp", alike.rows)[:, 0]
         taken = stamps_ns > 0
         positions = as_floats(layout.numbers("position", alike.rows[taken]))
-        numbers = self._n_seen + alike.numbers[taken]
+        numbers = self.n_seen + alike.numbers[taken]
         self._frames.append(_Frames(numbers, sample.names, stamps_ns[taken], positions))
         return taken
 
@@ -458,6 +483,10 @@ class DisplacementIntake(_TableIntake[Displacement]):
             return
         positions = np.asarray(item.positions, dtype=np.float64)[np.newaxis]
         self._frames.append(_Frames(np.array([number]), item.names, np.array([item.stamp_ns]), positions))
+
+    def forget(self, n_first: int) -> None:
+        """Let go of the first frames."""
+        self._frames = [later for own in self._frames if len((later := own.later(n_first)).numbers)]
 
     def table(self) -> Displacements | None:
         """Return the table, None where there is nothing that can be read.
@@ -533,7 +562,7 @@ class ClockIntake(_TableIntake[ClockSync]):
             values = key_values(text)
             if {"epoch", "rtt_ns"} <= set(values):
                 sync = ClockSync(host_ns[k], device_ns[k], values["epoch"], values["rtt_ns"])
-                self._keep(0, self._n_seen + int(alike.numbers[k]), sync)
+                self._keep(0, self.n_seen + int(alike.numbers[k]), sync)
                 taken[k] = True
         return taken
 

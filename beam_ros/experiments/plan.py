@@ -378,7 +378,7 @@ class _Reader:
         for name, entry in tree.items():
             place = f"recordings.{_name('recordings', name)}"
             if name == _CALIBRATION:
-                raise ParameterFileError(f"{place}: that name is the calibration's own; give another one")
+                raise ParameterFileError(f"{place}: that name belongs to the calibration; give another one")
             content = _mapping(place, entry, _RECORDING_KEYS)
             levels = _list(f"{place}.levels", content.get("levels", [1.0]))
             for level in levels:

@@ -1,7 +1,7 @@
 """Everything that can stop an axis, as one table: number, name, sentence and remedy.
 
 The numbers are part of the line protocol: a device gives its own in ``Status``, the host's begin at 64.
-docs/protocol.md prints the table, the firmware compiles it, ``hub/mode`` and the diagnostics carry its rows.
+docs/hub-faults.md prints the table, the firmware compiles it, ``hub/mode`` and the diagnostics carry its rows.
 """
 
 from __future__ import annotations
@@ -203,7 +203,7 @@ HOST_FAULTS = (
         81,
         "motion_unexplained",
         "the hub moves as no command explains",
-        "look for slip, a loose belt, a lying encoder or somebody's hand",
+        "look for slip, a loose belt, a wrong encoder or somebody's hand",
     ),
     Fault(
         82,
@@ -212,11 +212,13 @@ HOST_FAULTS = (
         "check serial.baud and what is on the port",
     ),
     Fault(83, "host_frozen", "the host's program stood still", "free the host's processors"),
-    Fault(84, "never_done", "the controller said `pending` and never more", "restart the controller"),
+    Fault(
+        84, "never_done", "the controller answered `pending` and nothing after it", "restart the controller"
+    ),
     Fault(
         85,
         "stop_ignored",
-        "the axis did not come to rest when it was told to",
+        "the axis did not come to rest when it was asked to",
         "switch the drive off by hand; then mend the controller's stop",
         needs_home=True,
     ),
@@ -254,7 +256,7 @@ def fault_of(number: int) -> Fault:
 
 
 def documentation() -> Iterator[str]:
-    """Yield the lines of the table in docs/protocol.md."""
+    """Yield the lines of the table in docs/hub-faults.md."""
     yield "| number | name | what has happened | remedy | home |"
     yield "|---|---|---|---|---|"
     for row in (*DEVICE_FAULTS, *HOST_FAULTS):

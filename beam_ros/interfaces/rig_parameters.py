@@ -541,6 +541,7 @@ class LiveSettings:
 
     aims: str = setting("relative standard deviations that are asked, f1:0.01%, zeta1:2%; empty: none")
     share_of_core: float = setting("part of one processor's time that the estimates may take", "1", 0.01, 1.0)
+    memory: float = setting("how much of the record is kept for the estimates, the newest", "s", 1.0, 1e5)
     niceness: int = setting("how far the estimates let everything else go first; 0: not at all", "", 0, 19)
 
 

@@ -26,6 +26,7 @@ from rclpy.subscription import Subscription
 from beam_ros.interfaces import graph
 from beam_ros.messages import RosTypes
 from beam_ros.process.interruption import signals_taken
+from beam_ros.shell.matched_subscription import next_waiting
 from beam_ros.shell.node import qos_profile
 from beam_ros.shell.other_hubs import reach
 from beam_ros.view.scene import SHOWN_TOPICS, Scene
@@ -96,8 +97,8 @@ class LiveView:
         while not self._is_ending.wait(self._period_s):
             self._follow_images()
             for topic, subscription in self._subscriptions.items():
-                while (data := _taken(subscription)) is not None:
-                    self._scene.take(topic, data, time.monotonic(), time.time())
+                while (taken := next_waiting(subscription)) is not None:
+                    self._scene.take(topic, bytes(taken[0]), time.monotonic(), time.time())
 
     def _follow_images(self) -> None:
         """Listen to the camera while somebody looks at the page."""
@@ -164,10 +165,3 @@ class LiveView:
 
     def __exit__(self, *raised: object) -> None:
         self.close()
-
-
-def _taken(subscription: Subscription) -> bytes | None:
-    """Take a message that waits, as its bytes."""
-    with subscription.handle:
-        taken = subscription.handle.take_message(subscription.msg_type, True)
-    return None if taken is None else bytes(taken[0])

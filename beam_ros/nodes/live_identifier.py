@@ -11,7 +11,6 @@ from functools import partial
 from typing import Any
 
 from beam_ros.interfaces import graph
-from beam_ros.interfaces.rig_parameters import LiveSettings
 from beam_ros.offline.estimate_process import EstimateProcess, Heard
 from beam_ros.shell.matched_subscription import MatchedSubscription
 from beam_ros.shell.node import RigNode, run_node
@@ -25,13 +24,18 @@ class LiveIdentifier(RigNode):
     def __init__(self, **options: Any) -> None:
         super().__init__("live_identifier", **options)
         self._heard: list[Heard] = []
-        live = self.rig.live
-        self._estimate = EstimateProcess(LiveSettings(live.aims, live.share_of_core, live.niceness))
+        self._estimate = EstimateProcess(self.rig.live)
         self._live = self.offer("identification/live")
         self._newest = self._published = self._estimate.newest()
         self._listening = [
             MatchedSubscription(
-                self, graph.TOPICS[topic], partial(self._hear, topic), depth=1000, raw=True, is_early=True
+                self,
+                graph.TOPICS[topic],
+                partial(self._hear, topic),
+                depth=1000,
+                raw=True,
+                is_early=True,
+                wakes=False,
             )
             for topic in self.row.subscribes
         ]
@@ -43,6 +47,8 @@ class LiveIdentifier(RigNode):
         self._heard.append((topic, bytes(data), info["received_timestamp"] or time.time_ns()))
 
     def _hand_over(self) -> None:
+        for subscription in self._listening:
+            subscription.take()
         if self._heard:
             heard, self._heard = self._heard, []
             self._estimate.hear(heard)

@@ -213,7 +213,7 @@ class VisionTracker(RigNode):
         if silent_s > _HUB_IS_SILENT_S:
             since = f"for {silent_s:.1f} s" if math.isfinite(silent_s) else "yet"
             raise CalibrationError(
-                f"the hub has said nothing {since}, and its position is the reference: expected hub/state within the "
+                f"the hub has sent nothing {since}, and its position is the reference: expected hub/state within the "
                 f"last {_HUB_IS_SILENT_S:g} s; start the hub"
             )
         if not math.isfinite(self._hub_position):

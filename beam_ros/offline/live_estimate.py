@@ -29,6 +29,7 @@ from beam_ros.arrays import FloatArray
 from beam_ros.bags.live.heard import HeardBag
 from beam_ros.errors import faults_of_the_user
 from beam_ros.interfaces.rig_parameters import LiveSettings
+from beam_ros.messages import SECOND_NS
 from beam_ros.messages.live_identification import (
     LiveAim,
     LiveCost,
@@ -80,7 +81,7 @@ class LiveEstimate:
     ) -> None:
         self._settings, self._processor_time = settings, processor_time
         self.aims = aims_asked(settings)
-        self._bag = HeardBag()
+        self._bag = HeardBag(memory_s=settings.memory)
         self._growing: GrowingIdentification | None = None
         self._sequence: object = None
         self._is_over = self._is_known = False
@@ -131,9 +132,10 @@ class LiveEstimate:
         states = [own for own in self._bag.sequence_states() if own.get("id") == self._sequence]
         return bool(self._sequence is not None and states and states[-1].get("state") in _OVER)
 
-    def _may_spend(self, duration_s: float) -> bool:
-        spent = self._spent_s + (self._growing.spent_s if self._growing else 0.0)
-        return spent <= self._settings.share_of_core * duration_s
+    def _may_spend(self, heard_s: float) -> bool:
+        """Return whether what was heard pays for an estimate, beside what was spent on all else."""
+        free_s = heard_s - self._spent_s / self._settings.share_of_core
+        return free_s >= 0.0 if self._growing is None else self._growing.is_due(free_s)
 
     def _estimate(self, begun: float) -> None:
         experiment = experiment_of(self._bag)
@@ -204,20 +206,41 @@ class LiveEstimate:
         return "known" if self._is_known else "growing"
 
     def _sentence(self, experiment: Experiment, growing: GrowingIdentification, duration_s: float) -> str:
-        result = growing.result
+        result, is_full = growing.result, self._has_forgotten(experiment)
         if result is None:
             said = f"No mode is known yet, after {duration_s:.1f} s: {growing.complaint}"
         else:
             count = result.model.n_modes
-            said = f"{count} {'mode is' if count == 1 else 'modes are'} known from {duration_s:.1f} s"
+            said = f"{count} {'mode is' if count == 1 else 'modes are'} known from "
+            said += f"{'the newest ' if is_full else ''}{duration_s:.1f} s"
             if self._is_over:
                 said = f"The excitation is over: {said}"
             elif self._is_known:
                 said += ", as well as was asked: the experiment may stop"
             elif growing.complaint:
                 said += f"; the last search ended early ({growing.complaint})"
+            if (self._is_over or is_full) and not self._is_known:
+                missed = (self._missed(aim, result.model, duration_s) for aim in self.aims)
+                said += "".join(f". {text}" for text in missed if text)
         notes = [*experiment.notes, *(result.warnings if result is not None else ())]
         return f"{said}. {' '.join(note.rstrip('.') + '.' for note in notes)}".rstrip().replace("..", ".")
+
+    def _has_forgotten(self, experiment: Experiment) -> bool:
+        """Return whether the excitation began before what is remembered of it."""
+        begun_ns = max(int(experiment.info.get("start_ns", 0)), self._bag.start_ns)
+        return self._bag.start_ns + self._bag.duration_ns - begun_ns > self._bag.memory_s * SECOND_NS
+
+    def _missed(self, aim: Aim, model: ModalModel, duration_s: float) -> str:
+        """Return how long a record an aim would take that no further sample meets; nothing where it is met."""
+        asked, to_go = f"{aim.name} to {100.0 * aim.relative_sd:.2g} %", aim.seconds_to_go(model, duration_s)
+        if not to_go:
+            return ""
+        if not math.isfinite(to_go):
+            return f"{asked} is not reached, for no mode {aim.mode} is known"
+        longer = f"{asked} would take a record of about {duration_s + to_go:.3g} s"
+        if duration_s + to_go > self._settings.memory:
+            return f"{longer}, and {self._settings.memory:g} s are kept: give live.memory more"
+        return f"{longer}, at this excitation"
 
     def _response(self, result: IdentificationResult) -> LiveResponse:
         model = result.model

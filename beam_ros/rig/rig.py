@@ -141,7 +141,7 @@ class Rig(RigParameters):
         """Write a ROS parameter file with every parameter."""
         document = {"/**": {"ros__parameters": self.to_nested()}}
         yaml = YAML(typ="safe", pure=True)
-        yaml.default_flow_style = None
+        yaml.default_flow_style = False  # ROS reads no colon within braces
         with path.open("w", encoding="utf-8") as stream:
             yaml.dump(document, stream)
 

@@ -6,11 +6,35 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
+from rclpy.callback_groups import CallbackGroup
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from rclpy.subscription import Subscription
 
 from beam_ros.interfaces.graph import QualityOfService, Topic
 from beam_ros.shell.node import RigNode
+
+
+class _Unwatched(CallbackGroup):  # type: ignore[misc]
+    """Subscriptions that no executor waits for."""
+
+    def can_execute(self, entity: Any) -> bool:
+        del entity
+        return False
+
+    def beginning_execution(self, entity: Any) -> bool:
+        del entity
+        return False
+
+    def ending_execution(self, entity: Any) -> None:
+        del entity
+
+
+def next_waiting(subscription: Subscription) -> tuple[Any, dict[str, int | None]] | None:
+    """Return the message that has waited longest, with what is known of its coming; None where none waits."""
+    with subscription.handle:
+        taken: tuple[Any, dict[str, int | None]] | None
+        taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
+    return taken
 
 
 class MatchedSubscription:
@@ -30,6 +54,7 @@ class MatchedSubscription:
     is_early : bool -- subscribe before there is a publisher, as the table says, to miss nothing of its beginning
     takes_all : bool -- hand over all that waits at once: rclpy puts together anew, for every single message, all that
         the node waits for, which for a quick camera costs as much as its frames do
+    wakes : bool -- False: what comes waits for ``take``, which hands it over with what is known of its coming
 
     Attributes
     ----------
@@ -46,8 +71,10 @@ class MatchedSubscription:
         raw: bool = False,
         is_early: bool = False,
         takes_all: bool = False,
+        wakes: bool = True,
     ) -> None:
         self._node = node
+        self._group = None if wakes else _Unwatched()
         self._topic = topic
         self._callback = self._take_all if takes_all else callback
         self._take = callback
@@ -60,7 +87,14 @@ class MatchedSubscription:
             self._subscribe()
 
     def _subscribe(self) -> None:
-        self._subscription = self._node.listen(self._topic.name, self._callback, self._qos, raw=self._raw)
+        self._subscription = self._node.listen(
+            self._topic.name, self._callback, self._qos, raw=self._raw, callback_group=self._group
+        )
+
+    def take(self) -> None:
+        """Hand over all that waits."""
+        while self._subscription is not None and (taken := next_waiting(self._subscription)) is not None:
+            self._take(*taken)
 
     def _take_all(self, message: Any) -> None:
         """Hand over a message and those that wait behind it, at most as many as can wait."""
@@ -69,9 +103,7 @@ class MatchedSubscription:
             subscription = self._subscription
             if subscription is None:
                 return  # given up by who took the last message
-            with subscription.handle:
-                taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
-            if taken is None:
+            if (taken := next_waiting(subscription)) is None:
                 return
             self._take(taken[0])
 

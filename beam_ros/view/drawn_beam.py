@@ -58,6 +58,7 @@ class DrawnBeam:
         model = rig.beam_model()
         self._heights = np.linspace(0.0, rig.beam.length, points)
         self._shapes = model.shape(self._heights)
+        self._frequencies_hz = model.natural_frequencies / (2.0 * math.pi)
         self._names = rig.markers.names
         self._marker_sd_m = marker_sd_m
         self._fitter = marker_shape_fitter(rig, rig.markers.heights)
@@ -72,6 +73,15 @@ class DrawnBeam:
         self._origin_ns: int | None = None
         self.speed = math.nan
         self.stepped_back_s = 0.0
+
+    def theory(self) -> dict[str, Any]:
+        """Return the modes that the rig file lets expect: frequencies [Hz], heights [mm], shapes up to 1."""
+        shapes = self._shapes / np.abs(self._shapes).max(axis=0)
+        return {
+            "frequency_hz": [round(own, 4) for own in self._frequencies_hz.tolist()],
+            "heights": _millimetres(self._heights),
+            "shapes": np.round(shapes.T, 4).tolist(),
+        }
 
     @property
     def length_m(self) -> float:

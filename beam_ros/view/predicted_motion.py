@@ -5,7 +5,9 @@ measured, and its second difference is noise. With p = q + Gamma alpha it is not
 
     p'' + 2 zeta omega p' + omega^2 p = Gamma (2 zeta omega alpha' + omega^2 alpha)
 
-Between two samples the hub's position is taken as a straight line. For that the step is exact, at any period.
+Between two samples the hub's position is taken as a straight line. For that the step is exact, at any period. Where
+batches were lost, it is the cubic that goes on with the speeds on both sides: a straight line would strike the beam
+at both ends, and the beam rings on for many seconds.
 """
 
 from __future__ import annotations
@@ -13,6 +15,7 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
+from scipy.interpolate import CubicHermiteSpline
 from scipy.linalg import expm
 
 from beam_model import BeamModel
@@ -65,8 +68,10 @@ class PredictedMotion:
         -------
         ndarray, shape (n_samples, n_modes) -- q at these samples, in units of the mode shapes
         """
-        found = np.zeros((len(positions), self.n_modes))
-        for k, (stamp_ns, position) in enumerate(zip(stamps_ns, positions.tolist(), strict=True)):
+        bridge_ns, bridge = self._bridge(stamps_ns, positions)
+        found = np.zeros((len(bridge) + len(positions), self.n_modes))
+        samples = zip([*bridge_ns, *stamps_ns], [*bridge, *positions.tolist()], strict=True)
+        for k, (stamp_ns, position) in enumerate(samples):
             step_ns = stamp_ns - self._stamp_ns
             self._stamp_ns = stamp_ns
             state = self._state
@@ -80,4 +85,15 @@ class PredictedMotion:
             state[-2] = position
             self._state = state
             found[k] = state[: self.n_modes] - self._participation * position
-        return found
+        return found[len(bridge) :]
+
+    def _bridge(self, stamps_ns: list[int], positions: FloatArray) -> tuple[list[int], list[float]]:
+        """Return samples, as far apart as those to come, that join them to the last one where some are missing."""
+        gap_ns = stamps_ns[0] - self._stamp_ns
+        if self._state is None or len(stamps_ns) < 2 or not 0 < gap_ns <= self._forgotten_after_s * 1e9:
+            return [], []
+        step_ns = stamps_ns[1] - stamps_ns[0]
+        between = np.arange(step_ns, gap_ns - step_ns // 2, step_ns)
+        speeds = (self._state[-1], (positions[1] - positions[0]) / (step_ns * 1e-9))
+        cubic = CubicHermiteSpline([0.0, gap_ns * 1e-9], [self._state[-2], positions[0]], speeds)
+        return (self._stamp_ns + between).tolist(), cubic(between * 1e-9).tolist()

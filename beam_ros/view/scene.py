@@ -193,6 +193,7 @@ class Scene:
                 "tip_limit": 1e3 * rig.hub.max_tip_deflection,
                 "names": list(rig.markers.names),
                 "marker_heights": [1e3 * height for height in rig.markers.heights],
+                "theory": self._beam.theory(),
             },
         )
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +26,7 @@ from beam_ident import (
 )
 from tests.beam_ident import result_cases
 
-PAGE = Path(__file__).parents[2] / "docs" / "identification.md"
+PAGE = Path(__file__).parents[2] / "docs" / "results.md"
 OF_TWO_OUTPUTS = set(result_cases.OVER_SEVERAL_OUTPUTS) - {"fit_free_decay"}
 
 
@@ -59,6 +60,27 @@ def test_every_result_prints_what_a_reader_needs_first(name):
     assert hertz
     assert all(f"<td>{own}" in found._repr_html_() for own in hertz)
     assert all(text.split(". ")[0][:60] in str(found).replace("\n", " ") for text in found.warnings)
+
+
+@pytest.mark.parametrize("name", result_cases.ALL)
+def test_every_result_gives_its_modes_as_columns_and_draws_where_they_lie(name):
+    found = result_cases.result(name)
+    columns = found.mode_columns()
+    assert len({len(values) for values in columns.values()}) == 1
+    assert columns["frequency_hz"] == pytest.approx(20.0 / (2.0 * np.pi), rel=0.02)
+    assert columns["damping_ratio"] == pytest.approx(0.1, rel=0.2)
+    with np.errstate(invalid="ignore"):
+        assert not np.any(columns["frequency_sd_hz"] > 0.1)  # in the unit of its value
+    assert columns["model"].tolist() == sorted(columns["model"].tolist())
+    page = found._repr_html_()
+    picture = ElementTree.fromstring(page[page.index("<svg") :])
+    assert len(picture.findall(".//{*}circle")) == len(columns["mode"])
+    try:
+        frame = found.to_dataframe()
+    except ImportError as err:
+        assert "take mode_columns()" in str(err)  # noqa: PT017  pandas may be there, and need not
+    else:
+        assert frame["frequency_hz"].tolist() == columns["frequency_hz"].tolist()
 
 
 def test_records_print_what_they_hold():

@@ -3,7 +3,7 @@
 The nodes' logs go to runs/<time>-up-<rig>/logs. They use your own ROS domain and discovery range, so that
 viewers, `ros2` and other nodes can attach. What the rig does is shown below: in a terminal by lines that change in
 place, and as a line for each change where output is kept. `--view` shows it on a page in the browser too, whose one
-control is stop, with an estimate that grows while the rig runs.
+control is stop. Where somebody watches, an estimate grows while the rig runs.
 """
 
 from __future__ import annotations
@@ -47,9 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_rig_file(parser)
     parser.add_argument("--namespace", default="", help="ROS namespace for every node of this rig")
     parser.add_argument("--record", type=Path, metavar="BAG", help="also record to this folder")
-    parser.add_argument(
-        "--view", action="store_true", help="also identify while it runs, and show all on a page"
-    )
+    parser.add_argument("--view", action="store_true", help="also show all on a page, in the browser")
     add_page(parser)
 
 
@@ -59,7 +57,8 @@ def run(arguments: argparse.Namespace) -> int:
     refuse_what_cannot_run(kind, rig, arguments.record)
     has_images = kind is not RigKind.SIMULATED or rig.simulation.images
     executables = list(nodes_of_rig(kind, with_camera_images=has_images))
-    if arguments.view:
+    is_seen = arguments.view or sys.stdout.isatty()
+    if is_seen:
         executables.append("live_identifier")
     changes: dict[str, object] = {}
     if arguments.record is not None:
@@ -75,7 +74,7 @@ def run(arguments: argparse.Namespace) -> int:
         ExitStack() as shown,
     ):
         client.refuse_live_hub()
-        watch = _Watch(arguments, rig, shown)
+        watch = _Watch(arguments, rig, shown, is_seen)
         logs = make_folder(run_folder(None, f"up-{kind.value}")) / "logs"
         if kind is RigKind.EMULATED:
             changes.update(emulated_port(rig.serial.port or f"{scratch}/controller"))
@@ -118,7 +117,7 @@ def run(arguments: argparse.Namespace) -> int:
 class _Watch:
     """Shows what the rig does: in the terminal, and on the page where it was asked for."""
 
-    def __init__(self, arguments: argparse.Namespace, rig: Rig, shown: ExitStack) -> None:
+    def __init__(self, arguments: argparse.Namespace, rig: Rig, shown: ExitStack, is_seen: bool) -> None:
         from beam_ros.launching.live_view import LIGHT_TOPICS, TEXT_TOPICS, LiveView
         from beam_ros.shell.other_hubs import reach
         from beam_ros.view.scene import Cursor, Scene
@@ -126,7 +125,6 @@ class _Watch:
 
         self._lines: ChangingLines = ChangingLines(sys.stdout)
         self._scene: Scene = Scene(rig, source="rig", title=reach(), is_rig_given=True)
-        is_seen = arguments.view or self._lines.is_watched
         self._view: LiveView = shown.enter_context(
             LiveView(
                 self._scene,
@@ -152,4 +150,5 @@ class _Watch:
         self._view.look()
         for entry in self._scene.new_entries(self._cursor):
             self._lines.say(log_line(entry))
-        self._lines.show(status_lines(self._scene))
+        if self._lines.is_watched:
+            self._lines.show(status_lines(self._scene))

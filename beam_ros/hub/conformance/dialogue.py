@@ -372,7 +372,7 @@ class Dialogue:
         if number not in _NUMBERS and not FIRST_FREE_FAULT <= number < FIRST_HOST_FAULT:
             self.oddities.setdefault(
                 "fault_numbers",
-                f"fault {number}: expected a device's of docs/protocol.md, or one from 32 to 63",
+                f"fault {number}: expected a device's of docs/hub-faults.md, or one from 32 to 63",
             )
 
     def _note_batch(self, batch: TickBatch) -> None:

@@ -96,7 +96,7 @@ KINDS: dict[str, FaultKind] = {
     ),
     "trip": FaultKind(
         "firmware",
-        "the firmware stops with a fault of its own, by its number in docs/protocol.md",
+        "the firmware stops with a fault of its own, by its number in docs/hub-faults.md",
         {"number": Amount(12.0, 1.0, 63.0, "of the table")},
         happens_once=True,
     ),

@@ -81,4 +81,4 @@ class StopPromise:
         else:
             return ""
         waited_s = (now_ns - self._said_ns) * 1e-9
-        return f"the axis did not come to rest within {waited_s:.2f} s after it was told to: {seen}"
+        return f"the axis did not come to rest within {waited_s:.2f} s after it was asked to: {seen}"

@@ -145,7 +145,7 @@ class HubClient:
         now_ns = self._host_clock(now).stamp_ns(now.steady_ns)
         status = self._status()
         if self._supervisor.is_stopping:
-            outcome = Outcome(False, "refused: the axis was told to stop and is not yet seen at rest")
+            outcome = Outcome(False, "refused: the axis was asked to stop and is not yet seen at rest")
         else:
             outcome = self._gate.check_setpoint(
                 stamp_ns, value, now_ns, status.state, status.position, status.velocity

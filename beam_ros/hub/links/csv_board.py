@@ -1,13 +1,12 @@
 """A board that prints lines and takes no orders: the hub is measured, and somebody else moves it.
 
-A thread reads the port. Where the board prints a clock, its readings are mapped to the host's clock by the times at
+Where the board prints a clock, its readings are mapped to the host's clock by the times at
 which they came; without one, a line's stamp is the time at which it came, with all its jitter.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import threading
 
 from beam_ros.hub.contract import HostTime, HubCapabilities, HubReport, Outcome, RequestKind, SequenceChunk
 from beam_ros.hub.errors import HubConnectionError
@@ -17,6 +16,7 @@ from beam_ros.hub.link_parameters import CsvColumns
 from beam_ros.hub.links.csv_measurements import CsvMeasurements
 from beam_ros.hub.links.host_axis import HostAxis
 from beam_ros.hub.links.host_paced_hub import HostPacedHub
+from beam_ros.hub.links.query_line import SteadyTime
 from beam_ros.hub.parameters import AxisParameters, LinkParameters
 
 READ_S = 0.05
@@ -52,9 +52,21 @@ class CsvHub(HostPacedHub):
         The board's port.
     columns : CsvColumns
         What its lines mean.
+    port : SerialTransport, optional
+        An unopened port, in place of the one that ``link`` names.
+    steady : SteadyTime, optional
+        A clock of the caller's, who then calls ``turn`` again and again; else a thread does.
     """
 
-    def __init__(self, parameters: AxisParameters, link: LinkParameters, columns: CsvColumns) -> None:
+    def __init__(
+        self,
+        parameters: AxisParameters,
+        link: LinkParameters,
+        columns: CsvColumns,
+        *,
+        port: SerialTransport | None = None,
+        steady: SteadyTime | None = None,
+    ) -> None:
         most = parameters.max_following_error
         axis = HostAxis(
             parameters,
@@ -71,12 +83,12 @@ class CsvHub(HostPacedHub):
             keeps_limits=False,
             shortcomings=_SHORTCOMINGS + (_CLOCK if columns.clock else _NO_CLOCK),
         )
-        super().__init__(axis, capabilities)
+        super().__init__(axis, capabilities, steady)
         self._link = link
-        self._transport = SerialTransport(link.serial_port, link.serial_baud, FLOOD_BYTES)
+        self._port = port or SerialTransport(link.serial_port, link.serial_baud, FLOOD_BYTES)
         self._lines = CsvMeasurements(columns, self._blame_clock)
-        self._thread = threading.Thread(target=self._run, name="csv-board", daemon=True)
-        self._thread.start()
+        self._patient_until_ns = self.steady.now_ns() + round(link.patience_s * 1e9)
+        self._begin(steady)
 
     # The Hub protocol ---------------------------------------------------------------------------------
 
@@ -106,32 +118,29 @@ class CsvHub(HostPacedHub):
             self.axis.step(now.steady_ns)
             return self.axis.poll(now)
 
-    def close(self) -> None:
-        """Let go of the port."""
-        self.steady.end()
-        self._thread.join(timeout=2.0)
+    # Turns ---------------------------------------------------------------------------------------------
 
-    # The thread ----------------------------------------------------------------------------------------
-
-    def _run(self) -> None:
-        patient_until_ns = self.steady.now_ns() + round(self._link.patience_s * 1e9)
-        while not self.steady.is_over:
-            try:
-                self._transport.open()
+    def turn(self) -> None:
+        """Take what the board prints; a port that is lost is opened again."""
+        try:
+            if not self._port.is_open:
+                self._port.open()
                 with self.lock:
                     self._lines.reset()
                     self.axis.contact.await_answer()
-                while not self.steady.is_over:
-                    data, came_ns = self._transport.read(READ_S)
-                    with self.lock:
-                        self._take(data, came_ns)
-            except HubConnectionError as err:
-                self._transport.close()
-                if err.fault.name != "port_unavailable" or self.steady.now_ns() > patient_until_ns:
-                    with self.lock:
-                        self.axis.disconnect(err.fault.name, str(err))
-                self.steady.wait(RECONNECT_S)
-        self._transport.dispose()
+            data, came_ns = self._port.read(READ_S)
+        except HubConnectionError as err:
+            self._port.close()
+            if err.fault.name != "port_unavailable" or self.steady.now_ns() > self._patient_until_ns:
+                with self.lock:
+                    self.axis.disconnect(err.fault.name, str(err))
+            self.steady.wait(RECONNECT_S)
+            return
+        with self.lock:
+            self._take(data, came_ns)
+
+    def _let_go(self) -> None:
+        self._port.dispose()
 
     def _blame_clock(self, name: str, reason: str) -> None:
         self.axis.fail(name, reason, self.steady.now_ns())

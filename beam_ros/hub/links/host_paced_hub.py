@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import threading
-import time
 
 from beam_ros.hub.contract import HostTime, HubCapabilities, HubReport, Outcome, RequestKind, SequenceChunk
 from beam_ros.hub.links.host_axis import HostAxis
 from beam_ros.hub.links.query_line import SteadyTime
 
-CLOSE_S = 1.0
-"""Longest wait for the axis to rest on closing [s]."""
+CLOSE_NS = 1_000_000_000
+"""Longest wait for the axis to rest on closing [ns]."""
 
 
 class HostPacedHub:
     """A hub that the host leads; implements ``Hub``.
 
-    A link derives its own from it, and leads the axis in a thread of its own, under ``lock``.
+    A link derives its own from it, and leads the axis in ``turn``, under ``lock``: in a thread of its own, or in the
+    caller's time.
 
     Parameters
     ----------
@@ -25,7 +25,7 @@ class HostPacedHub:
     capabilities : HubCapabilities
         What the controller can promise.
     steady : SteadyTime, optional
-        The clock.
+        A clock of the caller's, who then calls ``turn`` again and again; else a thread does.
     """
 
     def __init__(
@@ -35,6 +35,12 @@ class HostPacedHub:
         self.axis = axis
         self.steady = steady or SteadyTime()
         self._capabilities = capabilities
+        self._thread = threading.Thread(target=self._run, name=capabilities.name, daemon=True)
+
+    def _begin(self, steady: SteadyTime | None) -> None:
+        """Let a thread take the turns, where the caller brought no clock."""
+        if steady is None:
+            self._thread.start()
 
     @property
     def capabilities(self) -> HubCapabilities:
@@ -62,11 +68,25 @@ class HostPacedHub:
             return self.axis.poll(now)
 
     def close(self) -> None:
-        """Stop the axis and wait until it rests; a link then lets go of its controller."""
+        """Stop the axis, wait until it rests, and let go of its controller."""
+        if self.steady.is_over:
+            return
         self.request("stop")
-        end = time.monotonic() + CLOSE_S
-        while time.monotonic() < end:
-            with self.lock:
-                if not self.axis.is_powered:
-                    return
-            time.sleep(0.005)
+        end_ns = self.steady.now_ns() + CLOSE_NS
+        while self.axis.is_powered and self.steady.now_ns() < end_ns:
+            self.steady.wait(0.005)
+        self.steady.end()
+        if self._thread.is_alive():
+            self._thread.join(timeout=2.0)
+
+    def turn(self) -> None:
+        """Do what is due, and wait for what is due next; the links say how."""
+        raise NotImplementedError
+
+    def _let_go(self) -> None:
+        """Let go of the controller behind the last turn."""
+
+    def _run(self) -> None:
+        while not self.steady.is_over:
+            self.turn()
+        self._let_go()

@@ -9,7 +9,6 @@ and questions, in turns of its motor.
 from __future__ import annotations
 
 import dataclasses
-import threading
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -264,20 +263,9 @@ class PolledHub(HostPacedHub):
         # Names of the drive's faults that stand in the fault of the axis; None: it is no fault of the drive's.
         self._shown: tuple[str, ...] | None = None
         self._n_beats = self._misses = 0
-        self._thread = threading.Thread(target=self._run, name=promised.name, daemon=True)
-        if steady is None:
-            self._thread.start()
+        self._begin(steady)
 
-    def close(self) -> None:
-        """Stop the axis, switch the motor off, and let go of the port."""
-        if not self.steady.is_over:
-            super().close()
-            self.steady.end()
-            self._thread.join(timeout=2.0)
-
-    def _run(self) -> None:
-        while not self.steady.is_over:
-            self.turn()
+    def _let_go(self) -> None:
         self._switch_off()
         self._port.dispose()
 

@@ -11,8 +11,6 @@ Facts of the controller: the documents ``userdoc.rst`` and ``trajectory.rst`` of
 from __future__ import annotations
 
 import dataclasses
-import threading
-import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -27,6 +25,7 @@ from beam_ros.hub.link_parameters import TrajectoryParameters
 from beam_ros.hub.links.host_axis import HostAxis
 from beam_ros.hub.links.host_paced_hub import HostPacedHub
 from beam_ros.hub.links.motion_plan import MotionPlan
+from beam_ros.hub.links.query_line import SteadyTime
 from beam_ros.hub.parameters import AxisParameters
 
 HOLD_NS = 1_000_000_000
@@ -183,6 +182,8 @@ class TrajectoryHub(HostPacedHub):
         Publishes a trajectory.
     guard : BeamGuard, optional
         A further check of complete sequences, for limits that need a model of the beam.
+    steady : SteadyTime, optional
+        A clock of the caller's, who then calls ``turn`` again and again; else threads do that, and check sequences.
 
     Attributes
     ----------
@@ -196,6 +197,8 @@ class TrajectoryHub(HostPacedHub):
         trajectory: TrajectoryParameters,
         send: Callable[[Knots], None],
         guard: BeamGuard | None = None,
+        *,
+        steady: SteadyTime | None = None,
     ) -> None:
         counters = ("trajectories", "unstamped_states")
         axis = HostAxis(
@@ -206,11 +209,11 @@ class TrajectoryHub(HostPacedHub):
             objection=self._sequence_objection,
             reports_course=True,
             patience_ns=SILENCE_NS,
+            checks_in_background=steady is None,
         )
         silence = _silence(trajectory.drive_watchdog_s)
-        super().__init__(
-            axis, dataclasses.replace(CAPABILITIES, shortcomings=(*CAPABILITIES.shortcomings, silence))
-        )
+        promised = dataclasses.replace(CAPABILITIES, shortcomings=(*CAPABILITIES.shortcomings, silence))
+        super().__init__(axis, promised, steady)
         axis.contact.await_answer()
         self._settings = trajectory
         self._send = send
@@ -220,16 +223,7 @@ class TrajectoryHub(HostPacedHub):
         self._ages_ns: deque[int] = deque(maxlen=AGES)
         self.awaits_check = False
         self._refusal = ""
-        self._ending = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="trajectories", daemon=True)
-        self._thread.start()
-
-    def close(self) -> None:
-        """Stop the axis; the controller goes on holding it."""
-        if not self._ending.is_set():
-            super().close()
-            self._ending.set()
-            self._thread.join(timeout=2.0)
+        self._begin(steady)
 
     # What the controller says --------------------------------------------------------------------------
 
@@ -283,7 +277,7 @@ class TrajectoryHub(HostPacedHub):
             self.awaits_check = False
             self._refusal = objection
             if objection:
-                self._refuse(time.monotonic_ns())
+                self._refuse(self.steady.now_ns())
 
     def leave_off(self, reason: str) -> None:
         """Refuse what waits for the motor."""
@@ -304,19 +298,20 @@ class TrajectoryHub(HostPacedHub):
 
     def _blame_clock(self, name: str, reason: str) -> None:
         self._ages_ns.clear()
-        self.axis.fail(name, reason, time.monotonic_ns())
+        self.axis.fail(name, reason, self.steady.now_ns())
 
-    # The thread ----------------------------------------------------------------------------------------
+    # Turns ---------------------------------------------------------------------------------------------
 
-    def _run(self) -> None:
-        while not self._ending.wait(TURN_S):
-            with self.lock:
-                knots = self._turn(time.monotonic_ns())
-            if knots is not None:
-                self._send(knots)
+    def turn(self) -> None:
+        """Let time do its work, and publish what the controller is to follow from now on."""
+        with self.lock:
+            knots = self._news(self.steady.now_ns())
+        if knots is not None:
+            self._send(knots)
+        self.steady.wait(TURN_S)
 
-    def _turn(self, now_ns: int) -> Knots | None:
-        """Let time do its work; return a trajectory that is to be published."""
+    def _news(self, now_ns: int) -> Knots | None:
+        """Return a trajectory that is to be published."""
         axis = self.axis
         if axis.contact.is_silent(now_ns):
             reason = "no joint states came for 0.5 s: is the broadcaster active?"

@@ -160,9 +160,15 @@ function describeTraces() {
 const SVG = "http://www.w3.org/2000/svg";
 const drawn = {};
 
+function drawing(kind, attributes) {
+  const element = document.createElementNS(SVG, kind);
+  for (const [key, value] of Object.entries(attributes)) element.setAttribute(key, value);
+  return element;
+}
+
 function shapeOf(kind, name, attributes) {
   if (!drawn[name]) {
-    drawn[name] = document.createElementNS(SVG, kind);
+    drawn[name] = drawing(kind, {});
     $("beam").append(drawn[name]);
   }
   for (const [key, value] of Object.entries(attributes)) drawn[name].setAttribute(key, value);
@@ -285,6 +291,49 @@ function drawResponse() {
   say($("response-note"), `${choice.value} over ${response.input}${half}.`);
 }
 
+// The theory's shape at a height, in a straight line between the heights at which it is given.
+function shapeAt(theory, mode, height) {
+  const { heights, shapes } = theory, last = heights.length - 1;
+  const place = last * (height - heights[0]) / (heights[last] - heights[0]);
+  const below = Math.min(last - 1, Math.max(0, Math.floor(place)));
+  return shapes[mode][below] + (place - below) * (shapes[mode][below + 1] - shapes[mode][below]);
+}
+
+// Of a mode of theory the size is free: it is the one that fits the identified mode at the markers.
+function shapePlot(values, heights, theory, mode) {
+  const expected = heights.map((height) => shapeAt(theory, mode, height));
+  const sum = (pairs) => pairs.reduce((total, [a, b]) => total + a * b, 0);
+  const size = sum(values.map((value, k) => [value, expected[k]])) / (sum(expected.map((value) => [value, value])) || 1);
+  const curve = theory.shapes[mode].map((value) => size * value);
+  const half = 1.15 * Math.max(largest(values), largest(curve)), top = theory.heights[theory.heights.length - 1];
+  const x = (value) => (40 * value / half).toFixed(2), y = (height) => (100 * (1 - height / top)).toFixed(2);
+  const plot = drawing("svg", { viewBox: "-45 -5 90 110", "aria-hidden": "true" });
+  plot.append(drawing("path", { class: "limit", d: "M0 0V100M-45 100H45" }),
+    drawing("polyline", { class: "predicted", points: curve.map((value, k) => `${x(value)},${y(theory.heights[k])}`).join(" ") }),
+    ...values.map((value, k) => drawing("circle", { class: "marker", r: 3.2, cx: x(value), cy: y(heights[k]) })));
+  const apart = Math.max(...values.map((value, k) => Math.abs(value - size * expected[k]))) / (largest(values) || 1);
+  return [plot, apart];
+}
+
+function drawShapes() {
+  const live = parts.identification, shape = live && live.shape, theory = parts.beam && parts.beam.theory;
+  $("shapes").classList.toggle("none", !shape || !theory);
+  if (!shape || !theory) return;
+  const heights = shape.heights_m.map((height) => 1000 * height), words = [];
+  $("shape-plots").replaceChildren(...shape.modes.map((values, k) => {
+    const hertz = live.modes[k].frequency_hz;
+    const apartFrom = (own) => Math.abs(Math.log(own / hertz));
+    const mode = theory.frequency_hz.reduce((best, own, j) => (apartFrom(own) < apartFrom(theory.frequency_hz[best]) ? j : best), 0);
+    const figure = document.createElement("figure"), caption = document.createElement("figcaption");
+    const [plot, apart] = shapePlot(values, heights, theory, mode);
+    caption.textContent = `${hertz.toPrecision(4)} Hz (${theory.frequency_hz[mode].toPrecision(4)} Hz)`;
+    words.push(`mode ${k + 1} within ${(100 * apart).toPrecision(2)} %`);
+    figure.append(plot, caption);
+    return figure;
+  }));
+  say($("shapes-note"), `In brackets the frequency of the rig file's beam. Of its largest value at the markers, it agrees: ${words.join(", ")}.`);
+}
+
 function percent(share) {
   return share === null || share === undefined ? "not known" : `${(100 * share).toPrecision(2)} %`;
 }
@@ -294,7 +343,8 @@ function drawIdentification() {
   $("response").classList.toggle("none", !live || !live.response);
   $("assumptions").classList.toggle("none", !live || !live.tests.length);
   if (live) responseChart.setSize({ width: $("response-chart").clientWidth || 300, height: 300 });
-  say($("live"), live ? live.sentence : "No estimate is under way.");
+  say($("live"), live ? live.sentence : isBag ? "Nothing is estimated yet."
+    : "No estimate is under way, for no node live_identifier runs: `beam run live_identifier` starts it.");
   const modes = live ? live.modes : [], aims = live ? live.aims : [];
   $("modes").hidden = !modes.length;
   fill($("modes"), modes.map((mode, k) => [`${k + 1}`, ...withSd(mode.frequency_hz, mode.frequency_sd_hz),
@@ -306,6 +356,7 @@ function drawIdentification() {
   fill($("tests"), (live ? live.tests : []).map((test) => [test.assumption, test.test,
     test.p === null ? "–" : test.p.toPrecision(2), [test.verdict, level[test.verdict]]]));
   drawResponse();
+  drawShapes();
 }
 
 // --- state, tables, log
@@ -369,7 +420,7 @@ function drawPlayer() {
 
 // --- the stream
 
-const DRAWERS = { beam: [drawHead, drawBeam], shape: [drawBeam], identification: [drawIdentification], axis: [drawState],
+const DRAWERS = { beam: [drawHead, drawBeam, drawShapes], shape: [drawBeam], identification: [drawIdentification], axis: [drawState],
   sequence: [drawState], recorder: [drawState], losses: [drawTables], nodes: [drawTables], player: [drawPlayer],
   log: [drawLog], hub: [drawTraces], tip: [drawTraces] };
 const due = new Set();

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -53,7 +54,7 @@ def test_pieces_make_the_record_that_the_whole_makes(lost):
         assert (record.inputs[0].hold, record.inputs[0].sigma) == ("cubic", 1e-8)
         np.testing.assert_array_equal(record.outputs[0].values, expected.outputs[0].values)
         assert (record.outputs[0].exposure_s, record.start_ns, record.name) == (5e-3, 7, "run")
-    assert found.duration_s == pytest.approx(1.999)
+    assert found.heard_s == pytest.approx(1.999)
 
 
 def test_memory_keeps_the_newest_samples_alone():
@@ -61,7 +62,25 @@ def test_memory_keeps_the_newest_samples_alone():
     record = found.record()
     assert record.inputs[0].times_s[0] == pytest.approx(1.499)
     assert record.outputs[0].times_s[0] >= 1.499
-    assert found.duration_s == pytest.approx(0.5)
+    assert found.heard_s == pytest.approx(1.999)
+
+
+def test_what_is_not_kept_takes_no_memory_even_while_nobody_asks():
+    found = GrowingRecord(whole(), memory_s=1.0)
+    ticks, frames = TICKS + 2.0, 2.0 + 0.01 * np.arange(200)
+    few, many = (_memory_of(found, ticks + 2.0 * k, frames + 2.0 * k) for k in (0, 20))
+    assert many <= few
+
+
+def _memory_of(record: GrowingRecord, ticks: np.ndarray, frames: np.ndarray) -> int:
+    """Return how many bytes are in use after further samples."""
+    tracemalloc.start()
+    for own in range(0, 2000, 100):
+        record.add("hub", ticks[own : own + 100] + 0.0, np.zeros(100))
+    record.add("tip", frames, np.zeros(200))
+    used, _ = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    return used
 
 
 def test_the_last_sample_of_an_input_that_is_still_unknown_waits():

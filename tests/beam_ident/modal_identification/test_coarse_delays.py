@@ -9,6 +9,7 @@ import pytest
 
 from beam_ident import Prior, TimeRecord, identify
 from beam_ident.modal_identification.coarse_delays import coarse_delays
+from benchmarks.ident.changing_modes import ChangingModes
 from tests.beam_ident.truth import OMEGAS, beam_record
 
 
@@ -39,6 +40,23 @@ def test_nothing_is_said_where_noise_hides_the_input_or_periods_repeat():
     output = dataclasses.replace(record.outputs[0], times_s=times[5::10], values=again[5::10])
     periodic = TimeRecord((dataclasses.replace(drive, times_s=times, values=again),), (output,))
     assert coarse_delays([periodic], "hub") == {}
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.5, -1.0])
+@pytest.mark.parametrize("cut", [0, 20])
+def test_lines_that_nothing_drives_do_not_tell_when_outputs_were_stamped(delay, cut):
+    """All but 14 of 80 Hz show only where input and outputs end: at once, or the outputs 0.2 s sooner."""
+    record = ChangingModes(None, 10.0).record(1)
+    shorter = tuple(
+        dataclasses.replace(
+            own, times_s=own.times_s[: len(own.times_s) - cut], values=own.values[: len(own.values) - cut]
+        )
+        for own in record.outputs
+    )
+    found = coarse_delays([later(dataclasses.replace(record, outputs=shorter), delay)], "base", 0.15, 2)
+    # The two modes blur the peak of so narrow a band by a third of the slow one's period.
+    assert list(found.values()) == pytest.approx([delay] * len(found), abs=0.12)
+    assert bool(found) == bool(delay)
 
 
 @pytest.mark.slow

@@ -6,12 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
 from beam_ident import (
     Aim,
     EstimationError,
     GrowingIdentification,
     GrowingRecord,
+    InputSignal,
+    OutputSignal,
     TimeRecord,
     identify,
 )
@@ -82,12 +85,12 @@ def test_a_new_estimate_waits_until_it_is_paid_for(record):
     first, spent = growing.result, growing.spent_s
     assert first.model.n_modes == 2
     assert 0.0 < spent == growing.seconds_of_last_fit < 0.8  # so long a record pays for that
-    growing.spent_s = 0.9
+    growing.spent_s = 0.9 - spent  # what another search will take is paid before
     assert not growing.is_due(8.99)
     assert growing.grown(until(record, 8.9)) is first
     assert growing.is_due(9.01)
     assert growing.grown(until(record, 9.2)) is not first
-    assert growing.spent_s == 0.9 + growing.seconds_of_last_fit
+    assert growing.spent_s == pytest.approx(0.9 - spent + growing.seconds_of_last_fit)
 
 
 def test_a_search_ends_where_it_takes_more_than_the_record_pays_for(record):
@@ -154,6 +157,55 @@ def test_samples_of_a_growing_record_are_taken_as_they_come(record):
     second = growing.grown(begun).model
     assert second.natural_frequency_sd[0] < first.natural_frequency_sd[0]
     assert abs(second.natural_frequencies[0] - OMEGAS[0]) < 4.0 * second.natural_frequency_sd[0]
+
+
+def drifting_record(seconds: float, hz: tuple[float, float]) -> TimeRecord:
+    """A mode whose frequency goes evenly from one value to another: exact steps, the frequency new every 0.1 s."""
+    tick, blocks = 1e-3, round(10 * seconds)
+    times = tick * np.arange(100 * blocks + 1)
+    lines = 2.0 * np.pi * np.arange(10, 81) / 10.0  # 1 to 8 Hz, again every ten seconds
+    phases = np.random.default_rng(1).uniform(0.0, 2.0 * np.pi, len(lines))
+    acceleration = 0.01 * np.cos(times[:-1, None] * lines + phases).sum(axis=1)
+    hub, state = np.zeros((len(times), 2)), np.zeros((len(times), 2))
+    for block, own_hz in enumerate(np.linspace(*hz, blocks)):
+        omega = 2.0 * np.pi * own_hz
+        steps = [
+            expm(tick * np.array([[0.0, 1.0, 0.0], [-(w**2), -0.01 * w, b], [0.0, 0.0, 0.0]]))
+            for w, b in ((0.0, 1.0), (omega, -1.5))
+        ]
+        for k in range(100 * block, 100 * block + 100):
+            for motion, step in zip((hub, state), steps, strict=True):
+                motion[k + 1] = step[:2, :2] @ motion[k] + step[:2, 2] * acceleration[k]
+    frames = slice(10, None, 10)
+    noise = 3e-5 * np.random.default_rng(2).standard_normal(len(times[frames]))
+    drive = InputSignal("hub", "m", times, hub[:, 0], "cubic", 1e-9)
+    return TimeRecord((drive,), (OutputSignal("tip", "m", times[frames], (hub + state)[frames, 0] + noise),))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("moves", [False, True], ids=["one origin", "an origin that moves"])
+def test_a_mode_that_changes_slowly_is_followed_by_what_forgets(moves):
+    first_hz, last_hz, seconds = 4.400, 4.406, 30.0
+    whole = drifting_record(seconds, (first_hz, last_hz))
+    growing = GrowingIdentification("base_motion", processor_time=Processor(0.02))
+    record, last, n_estimates = GrowingRecord(whole.between(0.0, 1.0), 8.0), 1.0, 0
+    for end in np.arange(1.5, seconds, 0.5):
+        for own in (*whole.inputs, *whole.outputs):
+            new = (own.times_s > last) & (own.times_s <= end)
+            record.add(own.name, own.times_s[new], own.values[new])
+        last, before, now = end, growing.result, record.record()
+        span = np.array(now.inputs[0].span_s)
+        if growing.grown(now.from_instant(round(1e9 * span[0])) if moves else record) is not before:
+            model, n_estimates = growing.result.model, n_estimates + (end > 10.0)
+            true_hz = first_hz + (last_hz - first_hz) * span / seconds
+            assert np.all(
+                np.abs(model.frequencies_hz[0] - np.mean(true_hz))
+                < np.ptp(true_hz) / 2 + 4.0 * model.frequency_sd_hz[0]
+            )
+    # As long as it is heard, and not until the memory has paid for what it may.
+    assert n_estimates > 8
+    assert growing.spent_s <= 0.15 * seconds + growing.seconds_of_last_fit
+    assert last_hz - first_hz > 15.0 * model.frequency_sd_hz[0]
 
 
 @pytest.mark.parametrize("share", [0.0, -1.0])

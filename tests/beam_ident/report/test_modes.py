@@ -8,7 +8,10 @@ import pytest
 pytest.importorskip("matplotlib")
 
 from beam_ident import Prior, identify
+from beam_ident.modal.identification_result import FrequencyChange
 from beam_ident.report.evidence import ErrorSources, mode_rows
+from beam_ident.report.modes import add_modes
+from beam_ident.report.page import Page
 from tests.beam_ident.truth import beam_record
 
 
@@ -54,3 +57,16 @@ def test_time_base_and_temperature_are_added_where_they_are_given(unsure):
     assert full.time_base == pytest.approx(1e-3 * mode.omega)
     assert full.temperature == pytest.approx(2.5e-4 * mode.omega)
     assert full.together == pytest.approx(np.sqrt(bare.together**2 + full.time_base**2 + full.temperature**2))
+
+
+def test_frequencies_that_changed_are_listed_from_where_to_where(unsure, tmp_path):
+    page = Page("Modes", "Two modes.")
+    page.section("Modes")
+    changes = (
+        FrequencyChange(0, "time", 4.3730, 4.3950, 0.00502, 0.00002),
+        FrequencyChange(1, "swing", 28.26, 27.98, -0.0099, 0.0003, swing=0.012),
+    )
+    add_modes(page, unsure[1], changes=changes)
+    text = page.write(tmp_path / "page.html").read_text(encoding="utf-8")
+    for words in ("from the first stamp to the last", "4.37300", "4.39500", "swing of 0.012", "27.980"):
+        assert words in text

@@ -157,20 +157,20 @@ def whole_brief(brief: Plan, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.slow
 def test_interrupted_after_every_step_it_comes_to_the_same_files(
-    plan: Plan, whole: Path, tmp_path: Path
+    brief: Plan, whole_brief: Path, tmp_path: Path
 ) -> None:
     folder = tmp_path / "run"
-    for number, step in enumerate(STEPS):
+    for number, step in enumerate(BRIEF_STEPS):
         watcher = Silent(after=step)
         with pytest.raises(Interruption):
-            go_on(plan, folder, watcher, resume=number > 0)
+            go_on(brief, folder, watcher, resume=number > 0)
         assert watcher.now == [step]
-        assert watcher.before == STEPS[:number]
+        assert watcher.before == BRIEF_STEPS[:number]
     watcher = Silent()
-    outcome = go_on(plan, folder, watcher, resume=True)
+    outcome = go_on(brief, folder, watcher, resume=True)
     assert watcher.now == []
-    assert contents(folder) == contents(whole)
-    assert outcome == json.loads((whole / "outcome.json").read_text())
+    assert contents(folder) == contents(whole_brief)
+    assert outcome == json.loads((whole_brief / "outcome.json").read_text())
 
 
 @pytest.mark.slow

@@ -106,7 +106,7 @@ def test_the_rig_file_is_found_beside_the_plan(tmp_path: Path) -> None:
         ),
         ("estimation: modal", "estimation: model", ("entry 1", "did you mean modal?")),
         ("  V1:", "  V 1:", ("'V 1'", "expected letters")),
-        ("  V1:", "  calibration:", ("calibration's own",)),
+        ("  V1:", "  calibration:", ("belongs to the calibration",)),
         ("title: A plan", "title: [", ("no valid YAML",)),
     ],
 )

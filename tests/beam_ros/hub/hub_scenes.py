@@ -11,14 +11,17 @@ from pathlib import Path
 import numpy as np
 
 from beam_ros.hub.contract import HostTime, Hub, HubReport, Outcome, RequestKind, SequenceChunk
-from beam_ros.hub.emulated.controller import EmulatedController
+from beam_ros.hub.emulated.controller import DelayingFirmware, EmulatedController, Firmware
 from beam_ros.hub.emulated.emulator import EmulatedFirmware
+from beam_ros.hub.errors import HubConnectionError
 from beam_ros.hub.faults import fault
 from beam_ros.hub.gate.beam_guard import BeamGuard
 from beam_ros.hub.line import protocol
 from beam_ros.hub.line.client import HubClient
 from beam_ros.hub.line.driver import DriverHub
 from beam_ros.hub.line.framing import FrameDecoder, encode_frame
+from beam_ros.hub.links.host_paced_hub import HostPacedHub
+from beam_ros.hub.links.query_line import SteadyTime
 from beam_ros.hub.parameters import AxisParameters, LinkParameters, SimulatedDevice
 from beam_ros.hub.simulated.axis import VirtualAxis
 from beam_ros.hub.simulated.plant import RigidPlant
@@ -117,7 +120,7 @@ class Rig:
         """Make a request and return how it ended."""
         request_id = self.hub.request(kind)
         for _ in range(round(timeout_s * 100)):
-            completed = dict(self.run(0.01)[-1].completed)
+            completed = {number: outcome for r in self.run(0.01) for number, outcome in r.completed}
             if request_id in completed:
                 return completed[request_id]
         raise AssertionError(f"{kind} did not end")
@@ -231,6 +234,133 @@ class LoopbackRig(Rig):
     def connect(self) -> None:
         self.until(lambda r: r.status.state != "disconnected")
         self.until(lambda r: bool(r.measured) and r.status.counters["clock_sd_ns"] < 20_000)
+
+
+class VirtualTime(SteadyTime):
+    """Time that passes where somebody waits."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.ns = STEADY_START
+
+    def now_ns(self) -> int:
+        return self.ns
+
+    def wait(self, seconds: float) -> None:
+        self.ns += round(seconds * 1e9)
+
+
+class VirtualPort:
+    """A port whose bytes take their time, with an emulated device at its end.
+
+    ``latency_ns`` is that of the adapter: it hands over what has come only at multiples of it.
+    """
+
+    def __init__(self, steady: VirtualTime, firmware: Firmware, device: SimulatedDevice) -> None:
+        self.steady, self.firmware, self._device = steady, firmware, device
+        self.is_open, self.is_plugged = False, True
+        self.latency_ns = 0
+        self.written: list[bytes] = []
+        self._rng = random.Random(1)
+        self._coming: list[tuple[int, bytes]] = []
+
+    def open(self) -> None:
+        if not self.is_plugged:
+            raise HubConnectionError("no such port")
+        self.is_open = True
+
+    def close(self) -> None:
+        self.is_open = False
+
+    def device_ns(self, steady_ns: int) -> int:
+        rate = 1.0 + self._device.clock_drift_ppm * 1e-6
+        return self._device.clock_start_ns + round((steady_ns - STEADY_START) * rate)
+
+    def write(self, data: bytes) -> None:
+        self._check()
+        self.written.append(data)
+        self.steady.ns += self._rng.randint(20_000, 60_000)
+        self._pass(data)
+
+    def read(self, timeout_s: float) -> tuple[bytes, int]:
+        self._check()
+        end_ns = self.steady.ns + round(timeout_s * 1e9)
+        self._pass(b"")
+        while not self._coming and self.steady.ns < end_ns:
+            self.steady.ns = min(end_ns, self.steady.ns + 250_000)
+            self._pass(b"")
+        came_ns = self._coming[0][0] if self._coming else end_ns + 1
+        self.steady.ns = max(self.steady.ns, min(came_ns, end_ns))
+        return (self._coming.pop(0)[1] if came_ns <= end_ns else b""), self.steady.ns
+
+    def inject(self, data: bytes) -> None:
+        self._coming.append((self.steady.ns, data))
+
+    def _check(self) -> None:
+        if not self.is_plugged:
+            raise HubConnectionError("the port vanished", fault("port_lost"))
+
+    def _pass(self, data: bytes) -> None:
+        now_ns, device = self.steady.ns, self.firmware
+        out = device.exchange(data, self.device_ns(now_ns))
+        if isinstance(device, DelayingFirmware) and device.due_ns is not None:
+            now_ns += device.due_ns - self.device_ns(now_ns)
+            out += device.exchange(b"", device.due_ns)
+        if out:
+            now_ns += self._rng.randint(20_000, 60_000)
+            if self.latency_ns:
+                now_ns += -now_ns % self.latency_ns
+            self._coming.append((now_ns, out))
+
+
+class PacedRig(Rig):
+    """A hub that the host leads, in virtual time; whoever polls does it every 10 ms, and after what took longer."""
+
+    POLL_NS = 10_000_000
+
+    def __init__(self, hub: HostPacedHub, steady: VirtualTime) -> None:
+        self.hub, self.steady = hub, steady
+        self.reports = []
+        self.is_polled = True
+        self._polled_ns = 0
+
+    @property
+    def now(self) -> HostTime:
+        return HostTime(self.steady.ns, self.steady.ns - STEADY_START + UNIX_START)
+
+    def turn(self) -> None:
+        """Let the hub do what is due."""
+        self.hub.turn()
+
+    def run(self, seconds: float) -> list[HubReport]:
+        end_ns = self.steady.ns + round(seconds * 1e9)
+        new = []
+        while self.steady.ns < end_ns or (self.is_polled and not new):
+            self.turn()
+            if self.is_polled and self.steady.ns - self._polled_ns >= self.POLL_NS:
+                self._polled_ns = self.steady.ns
+                new.append(self.hub.poll(self.now))
+        self.reports += new
+        return new
+
+    def connected(self) -> PacedRig:
+        self.until(lambda r: r.status.state == "identified")
+        return self
+
+    def drive(self, value: float, seconds: float) -> None:
+        end_ns = self.steady.ns + round(seconds * 1e9)
+        while self.steady.ns < end_ns:
+            assert self.hub.setpoint(self.now.unix_ns, value, self.now).success
+            self.run(0.05)
+
+    def clear(self) -> None:
+        # The cause is gone a quarter of a second after it was seen last.
+        self.run(0.4)
+        outcome = self.ask("clear_fault")
+        assert outcome.success, outcome.message
+
+    def events(self, words: str) -> list[str]:
+        return [e.text for r in self.reports for e in r.events if words in e.text]
 
 
 class LiveRig(Rig):

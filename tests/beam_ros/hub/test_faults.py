@@ -16,7 +16,7 @@ from beam_ros.hub.simulated.transitions import (
     Condition,
 )
 
-PROTOCOL = Path(__file__).parents[3] / "docs" / "protocol.md"
+PAGE = Path(__file__).parents[3] / "docs" / "hub-faults.md"
 
 
 def test_every_row_has_its_own_number_and_name_a_sentence_and_a_remedy():
@@ -27,8 +27,8 @@ def test_every_row_has_its_own_number_and_name_a_sentence_and_a_remedy():
     assert all(64 <= row.number < 256 and row.is_of_host for row in HOST_FAULTS)
 
 
-def test_the_protocols_page_prints_the_table():
-    assert "\n".join(documentation()) in PROTOCOL.read_text(encoding="utf-8")
+def test_the_page_prints_the_table():
+    assert "\n".join(documentation()) in PAGE.read_text(encoding="utf-8")
 
 
 def test_rows_are_found_by_name_and_by_number():

@@ -43,7 +43,11 @@ def test_a_plan_on_the_emulated_rig_goes_on_after_ctrl_c_and_keeps_what_the_axis
     first.send_signal(signal.SIGINT)
     assert first.wait(30.0) == 130, first.output()
     assert list(json.loads((tmp_path / "run" / "state.json").read_text())["steps"]) == ["record E1"]
-    second = executables.run("beam", *words, "--resume", "--json", timeout_s=150.0)
+    for _ in range(5):
+        second = executables.run("beam", *words, "--resume", "--json", timeout_s=150.0)
+        # A computer that is too busy for a sequence is named, and what the message says to do is done.
+        if second.process.returncode == 0 or "go on with --resume" not in second.output():
+            break
     assert second.process.returncode == 0, second.output()
     output = second.output()
     outcome = json.loads(output[output.index("{\n") :])

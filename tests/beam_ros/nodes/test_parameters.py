@@ -11,10 +11,11 @@ import pytest
 
 from beam_ros.interfaces.graph import NODES
 from beam_ros.interfaces.rig_parameters import RIG_PARAMETERS
+from beam_ros.rig.rig import Rig
 from beam_ros.rig.time_keeping import NO_CLOCK
 
 pytestmark = pytest.mark.ros
-pytest.importorskip("rclpy")
+rclpy = pytest.importorskip("rclpy")
 
 
 class NodeParameters:
@@ -201,3 +202,11 @@ def test_a_node_without_the_clock_that_it_follows_says_so(executables: Any, grap
     tracker = executables.start("vision_tracker", "--ros-args", "-p", "use_sim_time:=true")
     graph.wait(lambda: any(text == NO_CLOCK for _, text in seen), "a complaint in the diagnostics", 20.0)
     assert NO_CLOCK in tracker.wait_for("nobody publishes /clock")
+
+
+def test_ros_reads_what_a_rig_writes_whatever_stands_in_its_texts(tmp_path) -> None:
+    rig = Rig.from_file().with_values({"live.aims": "f1:0.01%, zeta1:2%", "serial.port": "socket://a:1"})
+    rig.write(tmp_path / "rig.yaml")
+    context = rclpy.context.Context()
+    rclpy.init(args=["--ros-args", "--params-file", str(tmp_path / "rig.yaml")], context=context)
+    context.shutdown()

@@ -419,7 +419,7 @@ def test_calibration_against_the_hubs_encoder_finds_scale_zero_and_their_deviati
     assert "0 points" in refused.message
     refused = average("tracker/capture_point", -0.02, hub_speaks=False)
     assert not refused.success
-    assert "the hub has said nothing yet" in refused.message
+    assert "the hub has sent nothing yet" in refused.message
     # Discovery may take its time: until the hub is heard, its silence is the answer.
     graph.wait(
         lambda: average("tracker/capture_point", -0.02).success, "a point with the hub's position", 20.0
@@ -455,6 +455,6 @@ def test_calibration_against_the_hubs_encoder_finds_scale_zero_and_their_deviati
     for service in ("tracker/tare", "tracker/capture_point"):
         refused = average(service, 0.015, hub_speaks=False)
         assert not refused.success
-        assert "the hub has said nothing for " in refused.message
+        assert "the hub has sent nothing for " in refused.message
     answer = scene.answer("measured", scene.image(renderer.render(np.full(3, 0.015), rng)))
     assert answer.positions == pytest.approx([0.015] * 3, abs=2e-5)

@@ -38,8 +38,8 @@ def heard(bag: Path = CHIRP) -> Iterator[tuple[str, RawMessage]]:
             yield names[raw.topic], raw
 
 
-def estimate(aims: str = "") -> LiveEstimate:
-    return LiveEstimate(LiveSettings(aims, 0.15, 0), Processor())
+def estimate(aims: str = "", memory_s: float = 600.0) -> LiveEstimate:
+    return LiveEstimate(LiveSettings(aims, 0.15, memory_s, 0), Processor())
 
 
 def grown(
@@ -114,6 +114,34 @@ def test_an_aim_that_is_met_is_said_before_the_end() -> None:
     assert known
     assert "the experiment may stop" in known[0].sentence
     assert known[0].record_s < said[-1].record_s
+
+
+@pytest.mark.slow
+def test_an_aim_out_of_reach_is_said_with_the_record_that_it_would_take(said) -> None:
+    assert "zeta2 to 1e-07 % would take a record of about" in said[-1].sentence
+    assert "600 s are kept: give live.memory more" in said[-1].sentence
+    # While the excitation goes on, the table tells the time to go.
+    assert all("would take" not in own.sentence for own in said if own.state == "growing")
+    last = grown(estimate("f1:0.01%, zeta1:0.005%, f9:1%"), heard(), 3.0)[-1]
+    assert "f1 to" not in last.sentence
+    assert "zeta1 to 0.005 % would take a record of about" in last.sentence
+    assert "s, at this excitation" in last.sentence
+    assert "f9 to 1 % is not reached, for no mode 9 is known" in last.sentence
+
+
+@pytest.mark.slow
+def test_a_short_memory_is_the_identification_of_the_newest_samples() -> None:
+    live = estimate(memory_s=4.0)
+    last = grown(live, heard(), 1.0)[-1]
+    assert last.state == "ended"
+    assert "known from the newest" in last.sentence
+    assert 3.9 < last.record_s < 4.1
+    with Bag(CHIRP) as bag:
+        newest_s = bag.duration_ns * 1e-9
+    model = identification_of_bags(CHIRP, start_s=newest_s - 4.0).result.model
+    assert len(last.modes) == model.n_modes
+    for mode, hertz, sd in zip(last.modes, model.frequencies_hz, model.frequency_sd_hz, strict=True):
+        assert abs(mode.frequency_hz - hertz) < 0.1 * sd
 
 
 def changed(change) -> Iterator[tuple[str, RawMessage]]:

@@ -27,6 +27,7 @@ def live_example(record_s: float = 12.0) -> dict[str, Any]:
             "model_sd": (share * magnitude).tolist(),
             "measured": measured,
         }
+    shapes = model.shape(np.array(rig.markers.heights))[:, :2].T
     found = zip(model.natural_frequencies[:2] / (2 * np.pi), model.damping_ratios[:2], strict=True)
     return {
         "version": 1,
@@ -45,7 +46,7 @@ def live_example(record_s: float = 12.0) -> dict[str, Any]:
             for frequency, ratio in found
         ],
         "response": {"input": "hub/measured", "frequency_hz": frequencies.tolist(), "outputs": outputs},
-        "shape": None,
+        "shape": {"heights_m": list(rig.markers.heights), "modes": shapes.tolist()},
         "tests": [
             {"assumption": "residuals are white", "test": "portmanteau, z225", "p": 0.4, "verdict": "holds"},
             {

@@ -77,3 +77,15 @@ def test_stamps_that_step_back_begin_the_curves_anew_and_say_by_how_much(rig):
     assert beam.stepped_back_s == pytest.approx(3.019)
     assert beam.hub.epoch == epoch + 1
     assert beam.hub.since(-1, 0)["rows"][0][0] == pytest.approx(-3.0)
+
+
+def test_theory_has_the_clamped_modes_of_the_rig_file() -> None:
+    theory = DrawnBeam(Rig.from_file()).theory()
+    assert theory["frequency_hz"][:3] == pytest.approx([4.384, 28.262, 79.358], abs=5e-4)
+    shapes = np.array(theory["shapes"])
+    assert np.abs(shapes).max(axis=1) == pytest.approx(np.ones(len(shapes)))
+    crossings = np.count_nonzero(np.diff(np.sign(shapes[:, 1:]), axis=1), axis=1)
+    assert crossings.tolist() == list(
+        range(len(shapes))
+    )  # a clamped beam's mode k has k - 1 nodes above the clamp
+    assert theory["heights"][-1] == pytest.approx(300.0)

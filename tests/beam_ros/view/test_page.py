@@ -233,6 +233,24 @@ def test_the_band_shrinks_and_the_table_shows_two_digits_of_each_deviation(brows
     assert "z010" in page.inner_text("#response-note")
 
 
+def test_mode_shapes_stand_beside_those_of_the_rig_file(browser, rig):
+    page, _ = opened(browser, rig.link)
+    until(page, "document.querySelectorAll('#shape-plots circle').length === 6")
+    note = page.evaluate("document.getElementById('shapes-note').textContent")
+    captions = page.evaluate(
+        "Array.from(document.querySelectorAll('#shape-plots figcaption'), (own) => own.textContent)"
+    )
+    assert captions == ["4.384 Hz (4.384 Hz)", "28.26 Hz (28.26 Hz)"]
+    # The example is the rig file's own beam: straight lines between 41 heights leave that.
+    apart = [float(words.split(" %")[0]) for words in note.split("within ")[1:]]
+    assert len(apart) == 2
+    assert max(apart) < 0.5
+    other = live_example()
+    other["shape"]["modes"][0][2] *= 1.2
+    rig.scene.show_live(LiveIdentification.from_json(strict_json(other)), time.time())
+    until(page, "/mode 1 within [1-9][\\d.]* %/.test(document.getElementById('shapes-note').textContent)")
+
+
 def test_a_bag_is_played_paused_and_entered_by_keys(browser):
     scene = Scene(Rig.from_file(), source="bag", title="bags/frames")
     player = RecordedScene(BAGS / "frames", scene)

@@ -53,6 +53,20 @@ def test_batches_one_by_one_give_what_all_at_once_give(model):
     np.testing.assert_allclose(np.vstack(parts), whole, atol=1e-15)
 
 
+@pytest.mark.parametrize("frequency_hz", [1.0, 2.0])
+def test_lost_batches_leave_no_ringing(frequency_hz):
+    model = Rig.from_file().beam_model()  # hardly damped: what strikes it is seen for many seconds
+    stamps = np.arange(0, 3_000_000_000, 1_000_000)
+    times = stamps * 1e-9
+    positions = 1e-3 * np.sin(2 * np.pi * frequency_hz * times) ** 2
+    whole = PredictedMotion(model).add(stamps.tolist(), positions)
+    hears, last = PredictedMotion(model), np.zeros(0)
+    for k in range(0, len(stamps), 20):
+        if not 1.0 <= times[k] < 1.06:  # three batches in a row
+            last = hears.add(stamps[k : k + 20].tolist(), positions[k : k + 20])[-1]
+            np.testing.assert_allclose(last, whole[k + 19], atol=0.01 * np.abs(whole).max())
+
+
 def test_a_beam_is_at_rest_at_first_and_after_a_long_gap_or_a_step_back(model):
     for later_ns in (5_000_000_000, -5_000_000_000):
         motion = PredictedMotion(model)

@@ -9,7 +9,8 @@ import pytest
 from beam_ros.vision.tracking.spots import Reason
 
 DOCS = Path(__file__).resolve().parents[3] / "docs"
-PAGE, FIGURES = DOCS / "vision.md", DOCS / "vision-figures.md"
+PAGE, REASONS = DOCS / "vision.md", DOCS / "refused-measurements.md"
+MEASURED = (DOCS / "measured" / "vision.md", DOCS / "measured" / "vision-peers.md")
 
 
 def test_the_example_of_the_page_runs_and_says_what_it_promises(capsys):
@@ -23,7 +24,7 @@ def test_the_example_of_the_page_runs_and_says_what_it_promises(capsys):
     assert capsys.readouterr().out.count("'ok'") == 3
 
 
-@pytest.mark.parametrize("page", [PAGE, FIGURES], ids=lambda page: page.stem)
+@pytest.mark.parametrize("page", MEASURED, ids=lambda page: page.stem)
 def test_every_test_that_a_page_names_exists(page):
     text = page.read_text(encoding="utf-8")
     files = {path.stem: path.read_text(encoding="utf-8") for path in Path(__file__).parent.rglob("test_*.py")}
@@ -32,7 +33,7 @@ def test_every_test_that_a_page_names_exists(page):
 
 
 def test_every_reason_for_no_measurement_stands_on_the_page():
-    text = PAGE.read_text(encoding="utf-8")
+    text = REASONS.read_text(encoding="utf-8")
     rows = re.findall(
         r"^\| ((?:`\w+`(?:, )?)+) \|", text[text.index("## When a measurement is refused") :], re.M
     )

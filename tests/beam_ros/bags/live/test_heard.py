@@ -13,6 +13,8 @@ from beam_ros.bags.reading import Bag
 from beam_ros.interfaces.graph import LIVE_NEEDS
 from tests.beam_ros.bags.small_bags import write_experiment
 
+CHIRP = Path(__file__).resolve().parents[4] / "bags" / "chirp_6s"
+
 
 @pytest.fixture(scope="module")
 def bag_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -54,3 +56,33 @@ def test_what_was_not_heard_is_missing_as_in_a_bag() -> None:
     with pytest.raises(MissingTopicsError, match="what was heard has no messages on hub/measured"):
         heard.require("hub/measured")
     heard.close()
+
+
+def test_what_is_forgotten_is_gone_from_arrays_and_files_and_what_is_latched_stays() -> None:
+    memory_s = 2.0
+    heard, all_of_it = HeardBag(memory_s=memory_s), HeardBag()
+    with Bag(CHIRP) as bag:
+        names = {bag.full_name(topic): topic for topic in LIVE_NEEDS}
+        messages = list(bag.raw_messages(*names.values()))
+    newest_ns = messages[-1].receive_ns - round(memory_s * 1e9)
+    assert messages[0].receive_ns < newest_ns - 1e9  # else there is nothing to forget
+    for number, raw in enumerate(messages):
+        for own in (heard, all_of_it):
+            own.hear(names[raw.topic], raw.data, raw.receive_ns)
+        if number % 50 == 49:
+            heard.hub_samples("hub/measured")
+    newest = HeardBag()
+    for raw in messages:
+        if raw.receive_ns >= newest_ns:
+            newest.hear(names[raw.topic], raw.data, raw.receive_ns)
+    for topic in ("hub/measured", "hub/applied"):
+        np.testing.assert_array_equal(heard.hub_samples(topic).stamps_ns, newest.hub_samples(topic).stamps_ns)
+    np.testing.assert_array_equal(heard.displacements().positions, newest.displacements().positions)
+    assert heard.clock_syncs() == newest.clock_syncs()
+    assert heard.excitation_info() == all_of_it.excitation_info() is not None
+    assert heard.sequence_states() == all_of_it.sequence_states()
+    assert heard.duration_ns == all_of_it.duration_ns
+    oldest_ns = next(iter(heard.raw_messages())).receive_ns
+    assert messages[0].receive_ns < oldest_ns <= newest_ns
+    for own in (heard, all_of_it, newest):
+        own.close()

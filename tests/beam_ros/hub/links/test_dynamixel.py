@@ -1,124 +1,40 @@
-"""The Dynamixel link against the emulated servo on a bus in virtual time; a killed host on a real pseudo-terminal."""
+"""The Dynamixel link against the emulated servo, in virtual time."""
 
 from __future__ import annotations
 
-import os
 import random
-import signal
-import subprocess
-import sys
-import textwrap
-import time
-from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from beam_ros.hub.contract import HostTime, HubReport
-from beam_ros.hub.emulated.controller import EmulatedController
 from beam_ros.hub.emulated.dynamixel import EmulatedDynamixel
 from beam_ros.hub.emulated.servo import ServoAxis
-from beam_ros.hub.errors import HubConnectionError
-from beam_ros.hub.faults import fault
 from beam_ros.hub.link_parameters import DynamixelParameters
 from beam_ros.hub.links.dynamixel import DynamixelHub
 from beam_ros.hub.links.motion_plan import MotionPlan
-from beam_ros.hub.links.query_line import SteadyTime
 from beam_ros.hub.parameters import AxisParameters, LinkParameters, SimulatedDevice
 from beam_ros.hub.simulated.plant import RigidPlant
-from tests.beam_ros.hub.hub_scenes import STEADY_START, UNIX_START, LiveRig, Rig, chunks_of, rest_to_rest
+from tests.beam_ros.hub.hub_scenes import (
+    STEADY_START,
+    UNIX_START,
+    PacedRig,
+    VirtualPort,
+    VirtualTime,
+    chunks_of,
+    rest_to_rest,
+)
 
-ROOT = Path(__file__).parents[4]
 METRES_PER_TURN = -0.1
 COUNT = 0.1 / 4096
 PATIENT = AxisParameters(watchdog_s=1.0, max_speed=0.12)
 QUICK = AxisParameters(watchdog_s=0.25, max_speed=0.12)
 VELOCITY = AxisParameters(watchdog_s=0.25, max_speed=0.12, command_mode="velocity")
 DEVICE = SimulatedDevice(clock_drift_ppm=35.0, clock_start_ns=900_000_000_000, initial_position=-0.003)
-POLL_NS = 10_000_000
-FAST_NS, LATENCY_TIMER_NS = 0, 16_000_000
+LATENCY_TIMER_NS = 16_000_000
 
 
-class VirtualTime(SteadyTime):
-    """Time that passes where somebody waits."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.ns = STEADY_START
-
-    def now_ns(self) -> int:
-        return self.ns
-
-    def wait(self, seconds: float) -> None:
-        self.ns += round(seconds * 1e9)
-
-
-class VirtualBus:
-    """A port whose bytes take their time, with an emulated servo at its end.
-
-    ``latency_ns`` is that of the adapter: it hands over what has come only at multiples of it.
-    """
-
-    def __init__(self, steady: VirtualTime, servo: EmulatedDynamixel) -> None:
-        self.steady, self.servo = steady, servo
-        self.is_open, self.is_plugged = False, True
-        self.latency_ns = FAST_NS
-        self.instructions: list[bytes] = []
-        self._rng = random.Random(1)
-        self._coming: list[tuple[int, bytes]] = []
-
-    def open(self) -> None:
-        if not self.is_plugged:
-            raise HubConnectionError("no such port")
-        self.is_open = True
-
-    def close(self) -> None:
-        self.is_open = False
-
-    def device_ns(self, steady_ns: int) -> int:
-        rate = 1.0 + DEVICE.clock_drift_ppm * 1e-6
-        return DEVICE.clock_start_ns + round((steady_ns - STEADY_START) * rate)
-
-    def write(self, data: bytes) -> None:
-        self._check()
-        self.instructions.append(data)
-        self.steady.ns += self._rng.randint(20_000, 60_000)
-        self._pass(data)
-
-    def read(self, timeout_s: float) -> tuple[bytes, int]:
-        self._check()
-        end_ns = self.steady.ns + round(timeout_s * 1e9)
-        self._pass(b"")
-        while not self._coming and self.steady.ns < end_ns:
-            self.steady.ns = min(end_ns, self.steady.ns + 250_000)
-            self._pass(b"")
-        came_ns = self._coming[0][0] if self._coming else end_ns + 1
-        self.steady.ns = max(self.steady.ns, min(came_ns, end_ns))
-        return (self._coming.pop(0)[1] if came_ns <= end_ns else b""), self.steady.ns
-
-    def inject(self, data: bytes) -> None:
-        self._coming.append((self.steady.ns, data))
-
-    def _check(self) -> None:
-        if not self.is_plugged:
-            raise HubConnectionError("the port vanished", fault("port_lost"))
-
-    def _pass(self, data: bytes) -> None:
-        now_ns = self.steady.ns
-        out = self.servo.exchange(data, self.device_ns(now_ns))
-        if self.servo.due_ns is not None:
-            now_ns += self.servo.due_ns - self.device_ns(now_ns)
-            out += self.servo.exchange(b"", self.servo.due_ns)
-        if out:
-            now_ns += self._rng.randint(20_000, 60_000)
-            if self.latency_ns:
-                now_ns += -now_ns % self.latency_ns
-            self._coming.append((now_ns, out))
-
-
-class ServoRig(Rig):
-    """The link and its servo; whoever polls does it every 10 ms, and after what took longer."""
+class ServoRig(PacedRig):
+    """The link and its servo."""
 
     def __init__(
         self,
@@ -134,50 +50,15 @@ class ServoRig(Rig):
             metres_per_turn=METRES_PER_TURN,
             **(servo or {}),
         )
-        self.steady = VirtualTime()
-        self.bus = VirtualBus(self.steady, self.servo)
+        steady = VirtualTime()
+        self.bus = VirtualPort(steady, self.servo, DEVICE)
         link = LinkParameters("bus", prove_watchdog=prove_watchdog, patience_s=patience_s)
         moves = DynamixelParameters(metres_per_turn=METRES_PER_TURN, **settings)
-        self.hub = DynamixelHub(parameters, link, moves, port=self.bus, steady=self.steady)
-        self.reports = []
-        self._polled_ns = 0
-
-    @property
-    def now(self) -> HostTime:
-        return HostTime(self.steady.ns, self.steady.ns - STEADY_START + UNIX_START)
-
-    def run(self, seconds: float) -> list[HubReport]:
-        end_ns = self.steady.ns + round(seconds * 1e9)
-        new = []
-        while self.steady.ns < end_ns or not new:
-            self.hub.turn()
-            if self.steady.ns - self._polled_ns >= POLL_NS:
-                self._polled_ns = self.steady.ns
-                new.append(self.hub.poll(self.now))
-        self.reports += new
-        return new
-
-    def connected(self) -> ServoRig:
-        self.until(lambda r: r.status.state == "identified")
-        return self
-
-    def drive(self, speed: float, seconds: float) -> None:
-        end_ns = self.steady.ns + round(seconds * 1e9)
-        while self.steady.ns < end_ns:
-            assert self.hub.setpoint(self.now.unix_ns, speed, self.now).success
-            self.run(0.05)
-
-    def clear(self) -> None:
-        self.run(0.3)
-        outcome = self.ask("clear_fault")
-        assert outcome.success, outcome.message
-
-    def events(self, words: str) -> list[str]:
-        return [e.text for r in self.reports for e in r.events if words in e.text]
+        super().__init__(DynamixelHub(parameters, link, moves, port=self.bus, steady=steady), steady)
 
     def kept(self) -> list[int]:
         """Addresses of what is kept without power that were written."""
-        written = [data for data in self.bus.instructions if data[7] == 3]
+        written = [data for data in self.bus.written if data[7] == 3]
         return [address for data in written if (address := int.from_bytes(data[8:10], "little")) < 64]
 
 
@@ -460,10 +341,10 @@ def test_a_servo_that_does_not_stop_is_asked_nothing_so_that_its_watchdog_acts(m
     monkeypatch.setattr(servo, "_write", lambda _address, _data: 0)
     rig.hub.request("stop")
     rig.until(lambda _: bool(rig.events("the host falls silent")))
-    n_asked = len(rig.bus.instructions)
+    n_asked = len(rig.bus.written)
     rig.run(0.35)
     # The order to let go of the motor came before; nothing feeds the watchdog.
-    assert rig.bus.instructions[n_asked:] == []
+    assert rig.bus.written[n_asked:] == []
     servo.exchange(b"", rig.bus.device_ns(rig.steady.ns))
     assert servo.value(98) == 0xFF
     assert abs(servo.axis.velocity) < 1e-4
@@ -513,81 +394,3 @@ def test_an_adapter_without_one_keeps_the_rate() -> None:
     rig.run(5.0)
     assert rig.reports[-1].status.counters["writes_per_second"] == pytest.approx(200, abs=2)
     assert not rig.events("times a second")
-
-
-# In real time --------------------------------------------------------------------------------------------
-
-
-class PortRig(LiveRig):
-    """The link, and the servo on a pseudo-terminal."""
-
-    def __init__(self, folder: Path, parameters: AxisParameters) -> None:
-        def boot(device: SimulatedDevice, _boot_id: int) -> EmulatedDynamixel:
-            self.servo = EmulatedDynamixel(
-                ServoAxis(parameters, RigidPlant(0.8, 1e-3), device), metres_per_turn=METRES_PER_TURN
-            )
-            return self.servo
-
-        self.emulator = EmulatedController(
-            parameters, RigidPlant(0.8, 1e-3), DEVICE, link=folder / "servo", boot=boot
-        )
-        moves = DynamixelParameters(metres_per_turn=METRES_PER_TURN)
-        super().__init__(DynamixelHub(parameters, LinkParameters(self.emulator.port), moves))
-
-
-def _wait(condition: Callable[[], bool], what: str, timeout_s: float = 50.0) -> None:
-    end = time.monotonic() + timeout_s
-    while not condition():
-        assert time.monotonic() < end, what
-        time.sleep(0.01)
-
-
-@pytest.mark.slow
-def test_a_hub_on_a_port_is_led_and_closed_with_the_motor_off(tmp_path: Path) -> None:
-    rig = PortRig(tmp_path, PATIENT)
-    try:
-        rig.until(lambda r: r.status.state == "identified", 20.0)
-        rig.enable()
-        rig.run(0.5)
-        assert rig.servo.value(64) == 1
-        rig.hub.close()
-        _wait(lambda: rig.servo.value(64) == 0, "the motor is on")
-    finally:
-        rig.hub.close()
-        rig.emulator.close()
-
-
-@pytest.mark.slow
-def test_a_killed_host_leaves_the_hub_at_rest(tmp_path: Path) -> None:
-    rig = PortRig(tmp_path, VELOCITY)
-    rig.hub.close()
-    program = """
-        import sys, time
-        from beam_ros.hub.contract import HostTime
-        from beam_ros.hub.link_parameters import DynamixelParameters
-        from beam_ros.hub.links.dynamixel import DynamixelHub
-        from beam_ros.hub.parameters import AxisParameters, LinkParameters
-        parameters = AxisParameters(watchdog_s=0.25, max_speed=0.12, command_mode="velocity")
-        hub = DynamixelHub(parameters, LinkParameters(sys.argv[1]), DynamixelParameters(metres_per_turn=-0.1))
-        now = lambda: HostTime(time.monotonic_ns(), time.time_ns())
-        for kind in ("identified", "homed", "enabled"):
-            while hub.poll(now()).status.state != kind:
-                time.sleep(0.01)
-            if kind != "enabled":
-                hub.request("home" if kind == "identified" else "enable")
-        while True:
-            hub.setpoint(now().unix_ns, 0.03, now())
-            hub.poll(now())
-            time.sleep(0.02)
-    """
-    host = subprocess.Popen([sys.executable, "-c", textwrap.dedent(program), rig.emulator.port], cwd=ROOT)
-    try:
-        _wait(lambda: rig.servo.axis.velocity > 0.02, "the host did not move the hub")
-        os.kill(host.pid, signal.SIGKILL)
-        host.wait()
-        _wait(lambda: rig.servo.value(98) == 0xFF, "the watchdog did not act")
-        _wait(lambda: abs(rig.servo.axis.velocity) < 1e-4, "the hub moves")
-    finally:
-        host.kill()
-        host.wait()
-        rig.emulator.close()

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import threading
-import time
-
 import numpy as np
 import pytest
 
+from beam_ros.hub.contract import HostTime
 from beam_ros.hub.emulated.servo import ServoAxis
 from beam_ros.hub.emulated.trajectory_controller import (
     EmulatedTrajectoryController,
@@ -19,9 +17,14 @@ from beam_ros.hub.links.motion_plan import MotionPlan
 from beam_ros.hub.links.trajectory import SILENCE_NS, Knots, TrajectoryHub, settings_objection
 from beam_ros.hub.parameters import AxisParameters, SimulatedDevice
 from beam_ros.hub.simulated.plant import RigidPlant
-from tests.beam_ros.hub.hub_scenes import LiveRig, chunks_of, rest_to_rest
-
-pytestmark = pytest.mark.slow
+from tests.beam_ros.hub.hub_scenes import (
+    STEADY_START,
+    UNIX_START,
+    PacedRig,
+    VirtualTime,
+    chunks_of,
+    rest_to_rest,
+)
 
 ACCELERATION = AxisParameters()
 
@@ -117,66 +120,43 @@ def test_what_the_drive_does_in_silence_is_a_statement_and_no_watchdog(drive_wat
     assert "runs to its end when this host dies" in hub.capabilities.shortcomings[0]
 
 
-class ControllerRig(LiveRig):
-    """A hub and the emulated controller, at 250 cycles a second in a thread of its own."""
+class ControllerRig(PacedRig):
+    """A hub and the emulated controller, at 250 cycles a second."""
+
+    CYCLE_NS = 4_000_000
 
     def __init__(
         self, parameters: AxisParameters = ACCELERATION, start: float = 0.0, **settings: object
     ) -> None:
+        steady = VirtualTime()
         self.controller = EmulatedTrajectoryController(
-            ServoAxis(parameters, RigidPlant(0.8, 1e-3), SimulatedDevice(clock_start_ns=time.time_ns())),
+            ServoAxis(parameters, RigidPlant(0.8, 1e-3), SimulatedDevice(clock_start_ns=UNIX_START)),
             metres_per_unit=0.02,
         )
         self.sent: list[Knots] = []
         self.stamps_ns: list[int] = []
         self.delay_ns = 0
         self.is_running = True
-        self._lock = threading.Lock()
-        super().__init__(
-            TrajectoryHub(parameters, TrajectoryParameters(metres_per_unit=0.02, **settings), self._send)
-        )
-        self._ending = threading.Event()
-        self._thread = threading.Thread(target=self._cycle, daemon=True)
-        self._thread.start()
-        self.until(lambda r: r.status.state == "identified")
+        self._cycled_ns = steady.ns
+        moves = TrajectoryParameters(metres_per_unit=0.02, **settings)
+        super().__init__(TrajectoryHub(parameters, moves, self._send, steady=steady), steady)
+        self.connected()
 
     def _send(self, knots: Knots) -> None:
         self.sent.append(knots)
         way = Waypoints(knots.start_ns, knots.times_ns, knots.positions, knots.velocities)
-        with self._lock:
-            self.controller.receive(way, time.time_ns())
+        self.controller.receive(way, self.now.unix_ns)
+        assert self.controller.rejected == []
 
-    def _cycle(self) -> None:
-        while not self._ending.wait(0.004):
-            now = self.now
-            with self._lock:
-                position, velocity = self.controller.update(now.unix_ns)
+    def turn(self) -> None:
+        super().turn()
+        while self._cycled_ns <= self.steady.ns - self.CYCLE_NS:
+            self._cycled_ns += self.CYCLE_NS
+            now = HostTime(self._cycled_ns, self._cycled_ns - STEADY_START + UNIX_START)
+            position, velocity = self.controller.update(now.unix_ns)
             if self.is_running:
                 self.stamps_ns.append(now.unix_ns - self.delay_ns)
                 self.hub.joint_state(self.stamps_ns[-1], position, velocity, None, now)
-
-    @property
-    def true_position(self) -> float:
-        return self.hub.axis.place.position
-
-    def close(self) -> None:
-        self.hub.close()
-        self._ending.set()
-        self._thread.join()
-
-
-@pytest.fixture
-def start():
-    rigs = []
-
-    def start_rig(*args: object, **settings: object) -> ControllerRig:
-        rigs.append(ControllerRig(*args, **settings))
-        return rigs[-1]
-
-    yield start_rig
-    for rig in rigs:
-        rig.close()
-        assert rig.controller.rejected == []
 
 
 def _run(rig: ControllerRig, values: np.ndarray) -> tuple[list, int]:
@@ -188,8 +168,8 @@ def _run(rig: ControllerRig, values: np.ndarray) -> tuple[list, int]:
     return reports + rig.run(0.1), start_ns
 
 
-def test_a_sequence_goes_over_in_one_message_and_is_reported_sample_for_sample(start) -> None:
-    rig = start()
+def test_a_sequence_goes_over_in_one_message_and_is_reported_sample_for_sample() -> None:
+    rig = ControllerRig()
     rig.enable()
     before = len(rig.sent)
     values = rest_to_rest(1000)
@@ -203,21 +183,17 @@ def test_a_sequence_goes_over_in_one_message_and_is_reported_sample_for_sample(s
     assert stamps[first] == start_ns
     samples = np.concatenate([b.accelerations for b in applied])[first : first + 1000]
     np.testing.assert_array_equal(samples, values)
-    # The hub went there, as far as a drive of some 50 Hz can whose cycles come late on a busy computer.
+    # The hub went there, a cycle and the lag of a drive of some 50 Hz behind, at 50 mm/s and less.
     measured = [b for r in reports for b in r.measured]
     times = np.array([b.stamp_ns for b in measured])
     path = np.array([b.positions[0] for b in measured])
     plan = MotionPlan.sequence(values, ACCELERATION, 0.0)
     assert np.max(np.abs(path)) > 0.002
-    errors = [
-        np.max(np.abs(path - plan.sample((times - start_ns - late_ns) * 1e-9)[0]))
-        for late_ns in range(0, 60_000_000, 2_000_000)
-    ]
-    assert min(errors) < 0.0004
+    assert np.max(np.abs(path - plan.sample((times - start_ns) * 1e-9)[0])) < (4e-3 + 4e-3) * 0.05
 
 
-def test_every_joint_state_is_measured_with_its_own_stamp(start) -> None:
-    rig = start()
+def test_every_joint_state_is_measured_with_its_own_stamp() -> None:
+    rig = ControllerRig()
     stamps = [b.stamp_ns for r in rig.run(0.5) for b in r.measured]
     assert all(b.period_ns == 0 and len(b) == 1 for r in rig.reports for b in r.measured)
     first = rig.stamps_ns.index(stamps[0])
@@ -225,8 +201,8 @@ def test_every_joint_state_is_measured_with_its_own_stamp(start) -> None:
     assert stamps == rig.stamps_ns[first : first + len(stamps)]
 
 
-def test_a_set_point_of_a_host_that_dies_ends_in_a_ramp_by_itself(start) -> None:
-    rig = start()
+def test_a_set_point_of_a_host_that_dies_ends_in_a_ramp_by_itself() -> None:
+    rig = ControllerRig()
     rig.enable()
     assert rig.hub.setpoint(rig.now.unix_ns, 0.2, rig.now).success
     rig.run(0.05)
@@ -238,12 +214,14 @@ def test_a_set_point_of_a_host_that_dies_ends_in_a_ramp_by_itself(start) -> None
     assert reports[-1].status.fault.name == "setpoint_old"
 
 
-def test_an_executor_that_stands_still_stops_the_axis(start) -> None:
-    rig = start(AxisParameters(command_mode="position"))
+def test_an_executor_that_stands_still_stops_the_axis() -> None:
+    rig = ControllerRig(AxisParameters(command_mode="position"))
     rig.enable()
     assert rig.hub.setpoint(rig.now.unix_ns, 0.04, rig.now).success
     rig.run(0.1)
-    time.sleep(0.6)
+    rig.is_polled = False
+    rig.run(0.6)
+    rig.is_polled = True
     report = rig.run(0.05)[-1]
     assert (report.status.state, report.status.fault.name) == ("homed", "host_silent")
     stopped = report.status.position
@@ -251,8 +229,8 @@ def test_an_executor_that_stands_still_stops_the_axis(start) -> None:
     assert stopped < 0.03
 
 
-def test_stop_brakes_a_running_sequence_at_the_limit(start) -> None:
-    rig = start()
+def test_stop_brakes_a_running_sequence_at_the_limit() -> None:
+    rig = ControllerRig()
     rig.enable()
     for chunk in chunks_of(rest_to_rest(2000), rig.now.unix_ns + 200_000_000):
         rig.hub.load(chunk, rig.now)
@@ -267,12 +245,12 @@ def test_stop_brakes_a_running_sequence_at_the_limit(start) -> None:
     assert rig.run(0.3)[-1].status.position == pytest.approx(rest, abs=1e-6)
 
 
-def test_a_hub_that_somebody_pushes_is_a_fault_and_one_beyond_its_travel_too(start) -> None:
-    rig = start(AxisParameters(travel=0.003))
+def test_a_hub_that_somebody_pushes_is_a_fault_and_one_beyond_its_travel_too() -> None:
+    rig = ControllerRig(AxisParameters(travel=0.003))
     rig.enable()
     # Another program moves the joint: 6 mm away, and the travel ends at 1.5 mm.
     rig.controller.receive(
-        Waypoints(0, np.array([300_000_000]), np.array([0.3]), np.array([0.0])), time.time_ns()
+        Waypoints(0, np.array([300_000_000]), np.array([0.3]), np.array([0.0])), rig.now.unix_ns
     )
     status = rig.until(lambda r: r.status.state == "fault")[-1].status
     assert status.fault.name == "motion_unexplained"
@@ -285,8 +263,8 @@ def test_a_hub_that_somebody_pushes_is_a_fault_and_one_beyond_its_travel_too(sta
     assert rig.ask("enable").success
 
 
-def test_joint_states_that_stop_are_a_lost_controller_and_it_comes_back(start) -> None:
-    rig = start()
+def test_joint_states_that_stop_are_a_lost_controller_and_it_comes_back() -> None:
+    rig = ControllerRig()
     rig.enable()
     rig.is_running = False
     reports = rig.until(lambda r: r.status.state == "disconnected")
@@ -301,21 +279,20 @@ def test_joint_states_that_stop_are_a_lost_controller_and_it_comes_back(start) -
         assert rig.ask(step).success
 
 
-def test_a_process_that_was_frozen_does_not_take_its_controller_for_silent(start) -> None:
+def test_a_process_that_was_frozen_does_not_take_its_controller_for_silent() -> None:
     """Its thread wakes before the executor has the joint states that came meanwhile."""
-    rig = start()
-    with rig.hub.lock:
-        rig.is_running = False
-        time.sleep(1.2e-9 * SILENCE_NS)
-    time.sleep(0.05)
-    rig.is_running = True
+    rig = ControllerRig()
+    rig.is_running = rig.is_polled = False
+    rig.steady.wait(1.2e-9 * SILENCE_NS)
+    rig.run(0.05)
+    rig.is_running = rig.is_polled = True
     reports = rig.run(0.3)
     assert all(r.status.state == "identified" for r in reports)
     assert reports[-1].status.counters["connections"] == 1
 
 
-def test_joint_states_that_stop_under_a_sequence_stop_it(start) -> None:
-    rig = start()
+def test_joint_states_that_stop_under_a_sequence_stop_it() -> None:
+    rig = ControllerRig()
     rig.enable()
     for chunk in chunks_of(rest_to_rest(4000), rig.now.unix_ns + 200_000_000):
         rig.hub.load(chunk, rig.now)
@@ -328,14 +305,14 @@ def test_joint_states_that_stop_under_a_sequence_stop_it(start) -> None:
     assert rig.sent[-1].velocities[-1] == 0.0
     assert rig.sent[-1].times_ns[-2] < 100_000_000
     rig.run(0.2)
-    assert rig.controller.update(time.time_ns())[1] == pytest.approx(0.0, abs=1e-3)
+    assert rig.controller.update(rig.now.unix_ns)[1] == pytest.approx(0.0, abs=1e-3)
 
 
 @pytest.mark.parametrize(
     ("shift_ns", "name"), [(-2_000_000_000, "clock_backwards"), (2_000_000_000, "clock_jumped")]
 )
-def test_joint_states_whose_clock_jumps_stop_the_axis(start, shift_ns, name) -> None:
-    rig = start(AxisParameters(command_mode="velocity"))
+def test_joint_states_whose_clock_jumps_stop_the_axis(shift_ns, name) -> None:
+    rig = ControllerRig(AxisParameters(command_mode="velocity"))
     rig.enable()
     rig.hub.setpoint(rig.now.unix_ns, 0.02, rig.now)
     rig.run(0.1)
@@ -343,12 +320,12 @@ def test_joint_states_whose_clock_jumps_stop_the_axis(start, shift_ns, name) -> 
     status = rig.until(lambda r: r.status.state == "fault")[-1].status
     assert (status.fault.name, status.way_back) == (name, ("clear_fault", "home", "enable"))
     rig.run(0.5)
-    assert rig.controller.update(time.time_ns())[1] == pytest.approx(0.0, abs=1e-9)
+    assert rig.controller.update(rig.now.unix_ns)[1] == pytest.approx(0.0, abs=1e-9)
     assert rig.ask("clear_fault").success
 
 
-def test_one_absurd_stamp_is_left_out_and_the_axis_goes_on(start) -> None:
-    rig = start()
+def test_one_absurd_stamp_is_left_out_and_the_axis_goes_on() -> None:
+    rig = ControllerRig()
     rig.enable()
     rig.hub.joint_state(rig.now.unix_ns + 10**15, 0.0, 0.0, None, rig.now)
     report = rig.run(0.3)[-1]
@@ -361,8 +338,8 @@ def test_one_absurd_stamp_is_left_out_and_the_axis_goes_on(start) -> None:
     ("settings", "delay_ns", "words"),
     [({"max_knots": 100}, 0, "needs 1002 knots"), ({}, 300_000_000, "behind this host's clock")],
 )
-def test_what_cannot_be_handed_over_is_refused_with_the_reason(start, settings, delay_ns, words) -> None:
-    rig = start(**settings)
+def test_what_cannot_be_handed_over_is_refused_with_the_reason(settings, delay_ns, words) -> None:
+    rig = ControllerRig(**settings)
     rig.run(0.2)
     rig.delay_ns = delay_ns
     rig.run(0.6)
@@ -378,14 +355,14 @@ def test_what_cannot_be_handed_over_is_refused_with_the_reason(start, settings, 
     assert reports[-1].status.state == "enabled"
 
 
-def test_home_is_here_or_where_the_joint_is_zero(start) -> None:
-    rig = start(homes_here=False)
+def test_home_is_here_or_where_the_joint_is_zero() -> None:
+    rig = ControllerRig(homes_here=False)
     rig.enable()
     rig.hub.setpoint(rig.now.unix_ns, 0.0, rig.now)
     assert rig.hub.axis.place.zero == 0.0
-    other = start()
+    other = ControllerRig()
     other.controller.receive(
-        Waypoints(0, np.array([100_000_000]), np.array([0.5]), np.array([0.0])), time.time_ns()
+        Waypoints(0, np.array([100_000_000]), np.array([0.5]), np.array([0.0])), other.now.unix_ns
     )
     other.run(0.6)
     assert other.run(0.05)[-1].status.position == pytest.approx(0.01, abs=1e-5)
@@ -396,8 +373,8 @@ def test_home_is_here_or_where_the_joint_is_zero(start) -> None:
     assert other.sent[-1].positions == pytest.approx([0.5, 0.5], abs=5e-4)
 
 
-def test_a_controller_whose_settings_are_refused_under_a_sequence_is_stopped_and_left(start) -> None:
-    rig = start()
+def test_a_controller_whose_settings_are_refused_under_a_sequence_is_stopped_and_left() -> None:
+    rig = ControllerRig()
     rig.enable()
     for chunk in chunks_of(rest_to_rest(4000), rig.now.unix_ns + 200_000_000):
         rig.hub.load(chunk, rig.now)

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-EXTENSIONS = Path(__file__).parents[1] / "docs" / "extensions"
+EXTENSIONS = Path(__file__).parents[2] / "docs" / "extensions"
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 PICTURES = ROOT / "docs" / "pictures"
 
 pytest.importorskip("cv2")
@@ -27,7 +27,7 @@ def test_the_script_makes_every_picture_and_no_other(tmp_path: Path) -> None:
 
 
 def test_every_picture_is_shown_on_a_page() -> None:
-    pages = [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]
+    pages = [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]
     shown = "".join(page.read_text(encoding="utf-8") for page in pages)
     for path in PICTURES.iterdir():
         assert f"pictures/{path.name})" in shown
