@@ -20,8 +20,8 @@ _RECENT_FRAMES = 4
 """Where a marker was before it was lost for so many frames does not tell its speed."""
 NEVER = -(10**9)
 """Number of the frame in which a marker was lost that never was."""
-LONELY_FRAMES = 25
-"""Frames in which a spot must be the only one of its kind in its row, or what else is there must rest."""
+LONELY_FRAMES = COURSE_FRAMES
+"""What else is in the row of a marker that is acquired must rest for as many frames as a way is remembered."""
 SAME_PLACE_PX = 2.0
 """What lies so near to where something was seen before is the same [px]."""
 CONFIRMED_FRAMES = 3
