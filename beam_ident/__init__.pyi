@@ -118,7 +118,6 @@ from beam_ident.responses.stepped_sine import stepped_sine_response as stepped_s
 from beam_ident.results import LineResult as LineResult
 from beam_ident.results import Result as Result
 from beam_ident.results import TimeResult as TimeResult
-from beam_ident.results import models_of as models_of
 from beam_ident.shaping.choice import Choice as Choice
 from beam_ident.shaping.choice import choose_move as choose_move
 from beam_ident.shaping.command import Move as Move
@@ -134,6 +133,7 @@ from beam_ident.shaping.time_optimal import MoveTask as MoveTask
 from beam_ident.stored_results import restore as restore
 from beam_ident.subspace.model import SubspaceModel as SubspaceModel
 from beam_ident.subspace.model import subspace_model as subspace_model
+from beam_ident.summary import models_of as models_of
 from beam_ident.transfer_function.model import TransferFunctionModel as TransferFunctionModel
 from beam_ident.transfer_function.multi_input_model import MultiInputModel as MultiInputModel
 from beam_ident.transfer_function.sampled_controller import SampledController as SampledController

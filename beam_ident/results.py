@@ -7,7 +7,7 @@ also a ``LineResult``. No class has to inherit from these: whatever has the memb
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar, runtime_checkable
+from typing import TYPE_CHECKING, Protocol, TypeVar, runtime_checkable
 
 if TYPE_CHECKING:
     from typing import TypeAlias
@@ -101,12 +101,6 @@ class LineResult(Result, Protocol[Values]):
     @property
     def misfit(self) -> LineMisfit:
         """Squared residuals against what the known noise alone would leave."""
-
-
-def models_of(result: Result) -> tuple[Any, ...]:
-    """Return the models of a result: one, one for each output, or the result itself where it is a model."""
-    several = getattr(result, "models", None)
-    return several if isinstance(several, tuple) else (getattr(result, "model", result),)
 
 
 if TYPE_CHECKING:

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 
 from beam_ident.quantities import r_squared, small, with_uncertainty
-from beam_ident.results import models_of
 
 if TYPE_CHECKING:
     from beam_ident.arrays import FloatArray
@@ -96,6 +95,12 @@ class Summarised:
         )
 
 
+def models_of(result: Any) -> tuple[Any, ...]:
+    """Return the models of a result: one, one for each output, or the result itself where it is a model."""
+    several = getattr(result, "models", None)
+    return several if isinstance(several, tuple) else (getattr(result, "model", result),)
+
+
 class SummarisedModes(Summarised):
     """The summary of whatever has modes, or models that have: with their columns, and where they lie."""
 
@@ -107,7 +112,7 @@ class SummarisedModes(Summarised):
         dict of str to ndarray, shape (n_modes,) -- ``model`` and ``mode``, both from 1, ``frequency_hz`` and
             ``damping_ratio`` with ``frequency_sd_hz`` and ``damping_ratio_sd``, NaN where none is known
         """
-        models = [path for own in models_of(self) for path in getattr(own, "pole_sets", (own,))]  # type: ignore[arg-type]
+        models = [path for own in models_of(self) for path in getattr(own, "pole_sets", (own,))]
         found = [np.array(own.modes()) for own in models]
         omegas, zetas, omega_sd, zeta_sd = np.concatenate(found, axis=1)
         counts = [own.shape[1] for own in found]

@@ -50,7 +50,7 @@ from beam_ident import (
     select_transfer_function,
     validate,
 )
-from beam_ident.results import models_of
+from beam_ident.summary import models_of
 from beam_ros.offline.loading.experiment import load_experiment
 from benchmarks.ident.ailments import AILMENTS
 from benchmarks.ident.closed_loop import loop_record

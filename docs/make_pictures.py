@@ -215,6 +215,90 @@ def frame_picture(rig: Rig) -> Figure:
     return figure
 
 
+def transfer_function_picture() -> Figure:
+    """Draw poles and response of the motor with a flexible shaft, from the page's code."""
+    names = names_of_page("transfer-functions.md", 1)
+    found, truth = names["found"].model, names["plant"]
+    figure = Figure(figsize=(8.0, 3.8), layout="constrained")
+    response, output = figure.subplots(1, 2)
+    omegas = 2 * np.pi * np.geomspace(0.1, 10.0, 300)
+    for model, colour, label in ((truth, FAINT, "truth"), (found, MARKER, "identified")):
+        size = np.abs(model.frequency_response(omegas)[0]).ravel()
+        style = "-" if model is truth else "--"
+        response.loglog(omegas / (2 * np.pi), size, style, color=colour, linewidth=2.0, label=label)
+    response.set(xlabel="frequency [Hz]", ylabel="|angle / volt| [rad/V]", title="response")
+    response.legend()
+    result = names["found"]
+    few = np.argsort(result.times_s)[:400]
+    output.plot(result.times_s[few], result.measured[few], ".", color=STEEL, markersize=3, label="measured")
+    output.plot(result.times_s[few], result.modelled[few], color=MARKER, linewidth=1.2, label="model")
+    output.set(xlabel="time [s]", ylabel="angle [rad]", title="samples at irregular stamps")
+    output.legend()
+    return figure
+
+
+def axis_picture() -> Figure:
+    """Draw the friction of the page's axis over its speed, as identified and as written down."""
+    axis = names_of_page("axis.md", 1)["axis"]
+    speed = np.linspace(-2.0, 2.0, 401)
+    columns = np.column_stack([speed, np.sign(speed), np.ones_like(speed)])
+    figure = Figure(figsize=(6.4, 3.6), layout="constrained")
+    axes = figure.subplots()
+    axes.plot(speed, columns @ [4.0, 1.5, 0.0], color=FAINT, linewidth=5, label="written down")
+    axes.plot(speed, columns @ axis.estimates[1:4], color=MARKER, label="identified from force and position")
+    axes.set(xlabel="speed [m/s]", ylabel="friction [N]", title="what holds the axis back")
+    axes.legend()
+    return figure
+
+
+def simulation_picture() -> Figure:
+    """Draw where the hub is against its command, in the ideal and in the realistic rig."""
+    figure = Figure(figsize=(8.0, 4.2), layout="constrained")
+    axes = figure.subplots(2, 1, sharex=True)
+    short = {"excitation.duration": 3.0, "excitation.still": 1.0, "hub.command_mode": "position"}
+    for row, preset in zip(axes, ("ideal", "realistic"), strict=True):
+        with tempfile.TemporaryDirectory() as folder:
+            bag = Path(folder) / preset
+            simulate(Rig.from_file().with_values({**short, "simulation.preset": preset}), bag)
+            with Bag(bag) as opened:
+                led, seen = opened.hub_samples("hub/applied"), opened.hub_samples("hub/measured")
+        n = min(len(led.positions), len(seen.positions))
+        times = 1e-9 * (seen.stamps_ns[:n] - seen.stamps_ns[0])
+        row.plot(times, 1e6 * (seen.positions[:n] - led.positions[:n]), color=MARKER, linewidth=0.8)
+        row.set(ylabel="measured less\ncommanded [um]", title=preset)
+    axes[1].set_xlabel("time [s]")
+    return figure
+
+
+def links_picture() -> Figure:
+    """Draw what stands between this suite and a motor, and who keeps which promise."""
+    figure = Figure(figsize=(9.0, 3.6), layout="constrained")
+    axes = figure.subplots()
+    rows = (
+        ("beam", "a board with this suite's firmware", "limits and stop: the board"),
+        (
+            "trajectory_controller",
+            "controller_manager of ros2_control",
+            "sequences run on when the host dies",
+        ),
+        ("odrive", "ODrive 3.x", "stop: its watchdog; the motor coasts"),
+        ("dynamixel", "Dynamixel X series", "stop: its watchdog; the motor holds"),
+        ("csv", "a board that prints lines", "takes no commands"),
+    )
+    axes.add_patch(Rectangle((0.0, 0.0), 1.6, 5.0, facecolor="#e2e8f0", edgecolor=INK))
+    axes.text(0.8, 2.5, "the driver\n(node hub)", ha="center", va="center", color=INK)
+    for k, (kind, device, promise) in enumerate(rows):
+        y = 4.5 - k
+        arrow(axes, (1.6, y), (4.4, y))
+        axes.text(3.0, y + 0.12, kind, ha="center", color=STEEL, fontsize=9)
+        axes.add_patch(Rectangle((4.4, y - 0.35), 4.0, 0.7, facecolor="white", edgecolor=INK))
+        axes.text(6.4, y, device, ha="center", va="center", color=INK, fontsize=9)
+        axes.text(8.6, y, promise, va="center", color=MARKER, fontsize=9)
+    axes.set(xlim=(-0.1, 13.0), ylim=(-0.1, 5.1))
+    axes.axis("off")
+    return figure
+
+
 def names_of_page(page: str, blocks: int) -> dict[str, Any]:
     """Run the first blocks of code of a page, and return what they define."""
     names: dict[str, Any] = {"print": lambda *_words: None}
@@ -336,7 +420,7 @@ def amplitude_picture() -> Figure:
     with tempfile.TemporaryDirectory() as folder:
         bag = Path(folder) / "drag"
         simulate(Rig.from_file().with_values(changes), bag)
-        found = identification_of_bags(bag, options=FitOptions(n_modes=2, amplitude=True))
+        found = identification_of_bags(bag, options=FitOptions(n_modes=1, amplitude=True))
     assert found.curves is not None
     first = found.content["modes"][0]
     return amplitude_figure(found.curves, (first["frequency_hz"], first["damping_ratio"]))
@@ -456,6 +540,10 @@ def make_pictures(folder: Path) -> list[Path]:
         "rig": rig_picture(Rig.from_file()),
         "frame": frame_picture(Rig.from_file()),
         "excitation": excitation_picture(Rig.from_file()),
+        "transfer-function": transfer_function_picture(),
+        "axis": axis_picture(),
+        "simulation": simulation_picture(),
+        "links": links_picture(),
         **tutorial_pictures(),
         **identification_pictures(),
         "stabilisation": stabilisation_picture(),

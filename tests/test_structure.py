@@ -30,7 +30,7 @@ TESTED_IN = (
     ("beam_ident/design", "summary", "design/test_prediction"),
     ("beam_ident/design", "criteria", "design/test_spectrum"),
     ("beam_ident/design", "standard", "design/test_experiment"),
-    ("beam_ident/evaluation", "hold_out model_comparison", "modal_identification/test_time_domain"),
+    ("beam_ident/evaluation", "model_comparison", "modal_identification/test_time_domain"),
     ("beam_ident/excitation", "moves sampled sines sweeps windows", "excitation/test_motions"),
     ("beam_ident/excitation", "crest_optimisation noise seeds", "excitation/test_multisine"),
     ("beam_ident/figures", "canvas excitation poles responses validation", "figures/test_figures"),

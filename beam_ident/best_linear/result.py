@@ -1,7 +1,4 @@
-"""What a best linear approximation is: a response, and what scatters about it line by line.
-
-Equation numbers are those of docs/frequency-equations.md.
-"""
+"""What a best linear approximation is: a response, and what scatters about it line by line."""
 
 from __future__ import annotations
 

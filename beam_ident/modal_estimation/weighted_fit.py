@@ -244,6 +244,7 @@ class WeightedFit:
         reach = np.sqrt(np.maximum(np.diag(fit.covariance), 1e-300))
         farthest = _MAX_TRAVEL if self.smoothing is None else _MAX_TRAVEL_WITH_INPUT
         looks, stride = 0, Stride(np.zeros(len(fit.covariance)))
+        noise, moved = None, math.inf
         is_slow = self._follows or self._is_driven_by_noise
         for step in range(1, (_MAX_SLOW_STEPS if is_slow else _MAX_STEPS) + 1):
             # One step of (I.10); with noise on the input D holds the derivatives of (I.15).
@@ -251,7 +252,9 @@ class WeightedFit:
             design, right = self._with_priors(linear, point)
             solution = LinearSolution.of(design)
             change, inverse = solution.coefficients(right), solution.inverse_gram()
-            noise = self._noise_score(point, linear.filters)
+            # Where the point moves, the score of the noise changes by no more than its part in the information.
+            if moved > 10.0 * _STEP_TOLERANCE:
+                noise, moved = self._noise_score(point, linear.filters), 0.0
             if noise is not None:
                 inverse = _without_feigned(inverse, noise.information)
                 change = inverse @ (design.T @ right - noise.mean)
@@ -268,6 +271,7 @@ class WeightedFit:
             point = self._moved(point, change)
             # D step is the step in units of its standard deviation: |D step|^2 = step^T H step.
             size = float(np.linalg.norm(design @ change)) / math.sqrt(len(change))
+            moved += size
             if size < _NEAR and not self._is_near:
                 self._is_near = True
                 if self._is_cautious:

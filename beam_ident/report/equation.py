@@ -75,16 +75,17 @@ def _add_modal(page: Page, model: ModalModel, record: TimeRecord) -> None:
     )
     page.equation(
         f"{_sub('y', 'j')}<mo>(</mo><msub><mi>t</mi><mi>k</mi></msub><mo>)</mo><mo>=</mo>{_sub('y', 'j')}"
-        "<mo>(</mo><mo>(</mo><mn>1</mn><mo>−</mo><mi>ε</mi><mo>)</mo><msub><mi>t</mi><mi>k</mi></msub><mo>−</mo>"
-        "<mi>T</mi><mo>)</mo><mo>+</mo>"
+        "<mo>(</mo><mi>m</mi><mo>+</mo><mo>(</mo><mn>1</mn><mo>−</mo><mi>ε</mi><mo>)</mo><mo>(</mo>"
+        "<msub><mi>t</mi><mi>k</mi></msub><mo>−</mo><mi>T</mi><mo>−</mo><mi>m</mi><mo>)</mo><mo>)</mo><mo>+</mo>"
         f"{_sub('a', 'j')}<mo>+</mo>{_sub('b', 'j')}<msub><mi>t</mi><mi>k</mi></msub><mo>+</mo>{_sub('e', 'j')}",
-        "A sample of output j is the output at the instant that its stamp means, later by the latency and stretched "
-        "by the clock rate, with an offset, a drift and noise.",
+        "A sample of output j is the output at the instant that its stamp means, which is earlier by the latency and "
+        "stretched about the middle of the record by the clock rate, with an offset, a drift and noise.",
     )
     page.paragraph(
         f"The input U is the {_MEANINGS[model.structure]} ({', '.join(model.input_names)}), s the Laplace variable; "
-        "a and b are the offset and the drift of an output in each record, e is its noise. The modes may already "
-        "move when a record begins. Everything is in SI units."
+        "a and b are the offset and the drift of an output in each record, e is its noise, and m the middle of the "
+        "record, between its first and its last stamp. Where a sensor is exposed for a while, its sample is the mean "
+        "over that. The modes may already move when a record begins. Everything is in SI units."
     )
     units = _units(record)
     rows: list[list[str]] = []

@@ -52,7 +52,8 @@ from beam_ident.report.modes import add_budgets, add_modes, add_poles, add_shape
 from beam_ident.report.page import Cell, Drawn, Page, Tone
 from beam_ident.report.validation import add_predictions, add_trials, add_validation
 from beam_ident.report.verdict import add_gates, add_verdict, judge
-from beam_ident.results import LineResult, Result, models_of
+from beam_ident.results import LineResult, Result
+from beam_ident.summary import models_of
 
 
 def write_report(path: str | Path, title: str, *parts: Any, overwrite: bool = False, **more: Any) -> Path:
@@ -316,7 +317,7 @@ def _add_axis(page: Page, axis: AxisResult) -> None:
         interval = f"{value - 1.96 * sd:.6g} to {value + 1.96 * sd:.6g}"
         rows.append([meaning_of(name), unit, f"{value:.6g}", f"{sd:.2g}", interval])
     page.table(
-        ["", "unit", "estimate", "standard deviation", "95 %"],
+        ["parameter", "unit", "estimate", "standard deviation", "95 %"],
         rows,
         f"The axis, by {axis.method.replace('_', ' ')}, from {axis.n_samples} positions in {axis.n_pieces} stretches "
         "of motion. Dry friction that differs by direction and a constant force cannot be told apart: without a "

@@ -130,7 +130,7 @@ class Page:
             )
         rows = [("measured by", operator), ("checked by", ""), ("approved by", "")]
         self.table(
-            ["", "name", "date", "signature"],
+            ["role", "name", "date", "signature"],
             [[*row, "", ""] for row in rows],
             "Signatures.",
             kind="signatures",
@@ -157,8 +157,13 @@ class Page:
         Raises
         ------
         ReportError
-            A row has another number of cells than there are columns.
+            A column without a heading, or a row with another number of cells than there are columns.
         """
+        if not all(columns):
+            raise ReportError(
+                f"the table {caption!r} has the columns {', '.join(map(repr, columns))}; expected a heading for "
+                "each: a screen reader says it with every cell"
+            )
         for number, row in enumerate(rows):
             if len(row) != len(columns):
                 raise ReportError(
@@ -376,11 +381,37 @@ def _svg(figure: Figure, alt: str) -> str:
         FigureCanvasSVG(figure).print_svg(buffer, metadata={"Date": None})
     svg = buffer.getvalue()
     svg = svg[svg.index("<svg") :]
-    svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
+    svg = _compact(re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL))
     label = _escape(alt)
     # The drawing fills its box; its shape stands in viewBox.
     opening = re.sub(r'\s(width|height)="[^"]*"', "", svg[: svg.index(">")])
     return f'{opening} role="img" aria-label="{label}"><title>{label}</title>{svg[svg.index(">") + 1 :]}'
+
+
+def _compact(svg: str) -> str:
+    """Return an SVG in half as many bytes, and the same to the eye: places to 0.01 pt, a style of many marks once."""
+    is_exact = False
+
+    def rounded(match: re.Match[str]) -> str:
+        # Marks are small, and short; they stand in definitions: their outlines are kept as they are.
+        nonlocal is_exact
+        if match[0] in ("<defs>", "</defs>"):
+            is_exact = match[0] == "<defs>"
+        elif not is_exact or len(match[2]) > 1000:
+            places = re.sub(r"-?\d+\.\d{3,}", lambda own: f"{float(own[0]):.2f}", match[2])
+            letters = re.sub(r"\s*([A-Za-z])\s*", r"\1", places)
+            return f'{match[1]}"{letters}"'
+        return match[0]
+
+    def hoisted(match: re.Match[str]) -> str:
+        styles = set(re.findall(r' style="([^"]*)"', match[2]))
+        if len(styles) != 1 or "style=" in match[1] or re.search(r"(^|; )opacity", (style := styles.pop())):
+            return match[0]
+        marks = match[2].replace(f' style="{style}"', "")
+        return f'<g{match[1]} style="{style}">{marks}</g>'
+
+    svg = re.sub(r'</?defs>|( (?:d|x|y)=)"([^"]*)"', rounded, svg)
+    return re.sub(r"<g([^>]*)>((?:\s*<use [^>]*/>){2,}\s*)</g>", hoisted, svg)
 
 
 def _with_own_names(svg: str, number: int) -> str:

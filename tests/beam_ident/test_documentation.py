@@ -12,7 +12,7 @@ DOCS = Path(__file__).resolve().parents[2] / "docs"
 def run_page(name: str) -> dict[str, object]:
     page = DOCS / name
     blocks = re.findall(r"```python\n(.*?)```", page.read_text(encoding="utf-8"), flags=re.DOTALL)
-    assert len(blocks) >= 3
+    assert blocks
     namespace: dict[str, object] = {}
     for block in blocks:
         exec(compile(block, str(page), "exec"), namespace)
@@ -25,6 +25,19 @@ def test_the_page_on_transfer_functions_runs_from_top_to_bottom(capsys: pytest.C
     printed = capsys.readouterr().out
     assert "b0 = " in printed
     assert "ms" in printed
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["force-and-friction", "closed-loop"])
+def test_a_page_on_a_hard_plant_runs_and_keeps_what_it_asserts(name: str) -> None:
+    run_page(f"{name}.md")
+
+
+@pytest.mark.slow
+def test_the_page_on_results_finds_its_mode_by_name(capsys: pytest.CaptureFixture[str]) -> None:
+    found = run_page("results.md")["found"]
+    assert found.modes()[0] == pytest.approx([20.0], rel=1e-3)  # type: ignore[attr-defined]
+    assert "po_moesp" in capsys.readouterr().out
 
 
 @pytest.mark.slow

@@ -30,6 +30,12 @@ def test_the_page_on_the_frequency_domain_runs_from_top_to_bottom(capsys: pytest
     assert abs(names["decay"].damping_ratios[0] / 0.02 - 1.0) < 0.05  # type: ignore[attr-defined]
 
 
+def test_the_page_on_distortion_runs_from_top_to_bottom(capsys: pytest.CaptureFixture[str]) -> None:
+    best = run_page("best-linear.md")["best"]
+    assert "nonlinear" in capsys.readouterr().out
+    assert best.record("total") is not None  # type: ignore[attr-defined]
+
+
 def test_the_page_on_modal_analysis_runs_from_top_to_bottom(capsys: pytest.CaptureFixture[str]) -> None:
     names = run_page("modal-analysis.md")
     assert "nothing to warn of" in capsys.readouterr().out

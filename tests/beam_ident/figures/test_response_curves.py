@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from beam_ident.figures.response_curves import drawing_lines, response_curves
-from beam_ident.results import models_of
+from beam_ident.summary import models_of
 from tests.beam_ident.result_cases import result
 
 OMEGAS = np.array([5.0, 19.9, 60.0])

@@ -151,7 +151,7 @@ def test_every_estimator_has_a_report(name):
 
 
 def mode_rows_of(found):
-    from beam_ident.results import models_of
+    from beam_ident.summary import models_of
 
     return mode_rows(models_of(found))
 

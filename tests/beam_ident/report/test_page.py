@@ -108,6 +108,28 @@ def test_figures_keep_their_text_and_say_what_they_show():
     assert "#1d4ed8" in page.figures["line"]
 
 
+def test_a_drawing_of_many_marks_is_small_and_each_stands_where_it_belongs():
+    figure = Figure(figsize=(4.0, 3.0))  # 288 x 216 pt
+    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+    x, y = np.random.default_rng(1).uniform(0.1, 0.9, (2, 500))
+    axes.plot(x, y, "o", markersize=2.0, color="#1d4ed8")
+    axes.plot(x[:200], y[:200], color="#b45309")
+    axes.set(xlim=(0.0, 1.0), ylim=(0.0, 1.0), xticks=[], yticks=[])
+    page = Page("A page", "One sentence.")
+    page.figure(figure, "Many marks.", "many marks", name="marks")
+    drawn = ElementTree.fromstring(page.figures["marks"])
+    marks = [own.attrib for own in drawn.iter() if own.tag.endswith("use")]
+    places = np.array([[float(own["x"]), float(own["y"])] for own in marks])
+    np.testing.assert_allclose(places, np.stack([288.0 * x, 216.0 * (1.0 - y)], axis=1), atol=0.0051)
+    assert len(page.figures["marks"]) < 60 * 700  # bytes for a mark, or a point of the line
+    assert all("style" not in own for own in marks)
+    outlines = (own.get("d", "") for own in drawn.iter() if own.tag.endswith("path"))
+    line = np.array([pair.split() for pair in re.split("[ML]", max(outlines, key=len))[1:]], dtype=float)
+    assert len(line) > 150  # points between which a line is straight to the eye are left out
+    apart = np.abs(line[:, None] - np.stack([288.0 * x, 216.0 * (1.0 - y)], axis=1)[None]).max(axis=2)
+    assert np.max(apart.min(axis=1)) < 0.0051
+
+
 def test_colours_of_figures_follow_the_scheme_of_the_reader_but_not_those_of_pictures():
     page = full_page()
     assert "stroke: var(--c1d4ed8)" in page.text()
@@ -139,6 +161,13 @@ def test_a_faint_grid_stays_faint_on_a_dark_page():
 def test_a_row_of_another_length_is_refused():
     with pytest.raises(ReportError, match="row 1 of the table 'T' has 1 cells; expected 2"):
         Page("t", "l").table(["a", "b"], [["1", "2"], ["3"]], "T")
+
+
+def test_a_column_without_a_heading_is_refused():
+    with pytest.raises(
+        ReportError, match="the table 'T' has the columns '', 'b'; expected a heading for each"
+    ):
+        Page("t", "l").table(["", "b"], [["1", "2"]], "T")
 
 
 def test_nothing_is_overwritten_unless_it_is_allowed(tmp_path):

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from beam_ident import InputSignal, estimate_transfer_function
+from beam_ident import InputSignal, estimate_transfer_function, identify
 from beam_ident.sensing.misfit_causes import Noise, input_misfit_warnings, misfit_warnings
 from tests.beam_ident.result_cases import PERIOD_S, PLANT, record
+from tests.beam_ident.truth import beam_record
 
 N = 1500
 TIMES = 0.01 * np.arange(N)
@@ -145,3 +146,11 @@ def test_noise_that_is_known_to_grow_with_the_speed_is_no_misfit():
     )
     late = draws[1] - 0.01 * speed / np.std(speed)
     assert "stamps were" in " ".join(misfit_warnings([("y", [(TIMES, CLEAN, late)])], [[Noise(spread)]]))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("n_modes", [1, 2])
+def test_a_mode_that_was_left_out_is_not_taken_for_a_swap_of_input_and_output(n_modes):
+    found = identify(beam_record(1), "base_motion", n_modes=n_modes)
+    assert found.warnings  # the residuals hold the third mode, and say so
+    assert not any("swapped" in text or "loop is closed" in text for text in found.warnings)

@@ -5,6 +5,7 @@ import hashlib
 import html
 import json
 import re
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +26,7 @@ from beam_ros.offline.simulation import simulate
 from beam_ros.offline.theory import theory_of_rig
 from beam_ros.reporting.identification import deflection_of, format_files, report_identification
 from beam_ros.rig.rig import Rig
+from benchmarks.recomputed_report import compared
 
 pytestmark = pytest.mark.slow
 
@@ -150,6 +152,19 @@ def test_every_place_has_one_frequency_with_one_uncertainty(
         theory = f"{own['theory_frequency_hz']:.4f}"
         assert theory in screen
         assert theory in text
+
+
+def test_every_number_of_the_page_is_what_other_code_makes_of_bag_and_model(
+    folder: Path, bag: Path, tmp_path: Path
+) -> None:
+    found = list(compared(bag, folder))
+    assert len(found) > 50
+    assert [own for own in found if not own.agrees] == []
+    fit = next(own for own in found if own.name == "z285: FIT [%]")
+    forged = shutil.copytree(folder, tmp_path / "forged")
+    page = forged / "report.html"
+    page.write_text(page.read_text().replace(f">{fit.printed}<", f">{float(fit.printed) - 0.02:.3f}<"))
+    assert [own.name for own in compared(bag, forged) if not own.agrees] == ["z285: FIT [%]"]
 
 
 def test_the_theory_of_a_simulated_beam_is_what_was_simulated(folder: Path) -> None:
