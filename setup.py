@@ -26,7 +26,7 @@ COMPILED = ["numba>=0.60"]
 
 # The tracker's own steps as machine code, made of the same source where BEAM_COMPILE is 1: it needs a C compiler.
 MYPYC = "mypy>=2.4,<3"
-MACHINE_CODE = ["appearance", "disc_model", "marker_state", "rivals", "second_image", "spots", "tracker"]
+MACHINE_CODE = ["appearance", "association", "disc_model", "marker_state", "second_image", "spots", "tracker"]
 IS_COMPILED = os.environ.get("BEAM_COMPILE") == "1"
 
 # A cluster for order selection and large batches (`map_records(..., scheduler=...)`).

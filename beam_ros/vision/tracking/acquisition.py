@@ -10,19 +10,24 @@ from __future__ import annotations
 import math
 from itertools import pairwise
 from statistics import median
+from typing import NamedTuple
 
 from beam_ros.arrays import ImageArray
 from beam_ros.vision.tracking.appearance import Appearance, Light
+from beam_ros.vision.tracking.association import Possible, SpotPath
 from beam_ros.vision.tracking.marker_state import (
     CONFIRMED_FRAMES,
+    LONELY_FRAMES,
     SAME_PLACE_PX,
+    MarkerMotion,
     MarkerState,
+    Thing,
     beam_reach,
     is_common,
     is_taken,
     shared,
 )
-from beam_ros.vision.tracking.rivals import Track, associated, present, swinging
+from beam_ros.vision.tracking.recovery import Frame, Recovery
 from beam_ros.vision.tracking.spot_search import OneDisc, one_disc
 from beam_ros.vision.tracking.spots import Blob, Gates, Reason, Spot, SpotMeter
 
@@ -38,6 +43,16 @@ _EQUAL_SIZE = 0.1
 
 FULL_DISCS = "full discs of one brightness: fill or cover their middles"
 """What a person can do about markers that are rings."""
+
+
+class Sighted(NamedTuple):
+    """The only spot of its kind in a marker's row, in a frame: its column [px], excess and covariance [px^2]."""
+
+    frame: int
+    u: float
+    excess: float
+    covariance: float
+
 
 Candidate = tuple[Spot, Light]
 Found = tuple[dict[int, Candidate], dict[int, Reason]]
@@ -58,14 +73,21 @@ class Acquisition:
     shows_mosaic : bool -- most of what last was like a marker lies in a mosaic of colours
     shows_rings : bool -- most of it has a hole
     aspect : float or None -- width over height of most of it, which is not what was expected; None where it is
+    clutter : list of list of Thing -- what else is in the row of each marker that is not followed
     """
 
-    def __init__(self, meter: SpotMeter, markers: list[MarkerState], exposure_s: float) -> None:
+    def __init__(
+        self, meter: SpotMeter, markers: list[MarkerState], recovery: Recovery, exposure_s: float
+    ) -> None:
         self._meter = meter
         self._parameters = meter.parameters
         self._markers = markers
+        self._recovery = recovery
         self._exposure_s = exposure_s
+        self._sightings: list[Sighted | None] = [None] * len(markers)
+        self.clutter: list[list[Thing]] = [[] for _ in markers]
         self._frame = self._elapsed_ns = 0
+        self._now: Frame | None = None
         self._shear_of_speed = 0.0
         self._looks: dict[Spot, Appearance] = {}
         self._bare: dict[Spot, tuple[Spot, Light, Appearance]] = {}
@@ -77,22 +99,21 @@ class Acquisition:
         self._blobs: list[Blob] = []
         self._shapes: dict[int, tuple[int, Gates]] = {}
 
-    def acquire(
-        self, image: ImageArray, frame: int, elapsed_ns: int, shear_of_speed: float
-    ) -> dict[int, Reason]:
+    def acquire(self, frame: Frame, elapsed_ns: int, shear_of_speed: float) -> dict[int, Reason]:
         """Find markers in a frame.
 
         Parameters
         ----------
-        image : ndarray, shape (height, width)
-        frame, elapsed_ns : int -- number of the frame, and time since the one before [ns]
+        frame : Frame -- with the markers that are seen in it
+        elapsed_ns : int -- time since the one before [ns]
         shear_of_speed : float -- what a rolling shutter makes of a speed [px/px over px per frame]
 
         Returns
         -------
         dict -- what keeps the markers that were not found
         """
-        self._frame, self._elapsed_ns, self._shear_of_speed = frame, elapsed_ns, shear_of_speed
+        image, self._now, self._frame = frame.image, frame, frame.number
+        self._elapsed_ns, self._shear_of_speed = elapsed_ns, shear_of_speed
         missing = [k for k, marker in enumerate(self._markers) if not marker.is_followed]
         found: list[Candidate] = []
         others: list[tuple[float, float]] = []
@@ -121,10 +142,15 @@ class Acquisition:
         for k in chosen.keys() - unequal:
             spot, light = chosen[k]
             appearance = self._looks[spot]
-            self._markers[k].introduce(spot, light, appearance, self._meter.gates(light, appearance), frame)
+            self._introduce(k, spot, light, appearance)
         if self.shows_rings:
             reasons = {k: "ring" if reason == "not_acquired" else reason for k, reason in reasons.items()}
         return {**reasons, **dict.fromkeys(unequal, "area")}
+
+    def _introduce(self, k: int, spot: Spot, light: Light, appearance: Appearance) -> None:
+        marker = self._markers[k]
+        marker.introduce(spot, light, appearance, self._meter.gates(light, appearance), self._frame)
+        self._sightings[k] = None
 
     def seen(self, image: ImageArray) -> list[tuple[float, float, str]]:
         """Columns, rows and names of what stands out where markers are looked for [px]: for people."""
@@ -180,8 +206,8 @@ class Acquisition:
             return reasons
         for k in ready:
             spot, light, own = things[k]
-            self._markers[k].introduce(spot, light, own, self._meter.gates(light, own), self._frame)
-            self._markers[k].rivals = []
+            self._markers[k].belief.clear()
+            self._introduce(k, spot, light, own)
         return {k: reason for k, reason in reasons.items() if k not in ready}
 
     def _alone(self, image: ImageArray, k: int) -> tuple[Spot, Light, Appearance] | None:
@@ -261,10 +287,10 @@ class Acquisition:
         if len(found) > len(missing) or min(gaps, default=math.inf) < self._parameters.marker_diameter_px:
             return {}, dict.fromkeys(missing, "ambiguous")
         chosen = dict(zip(missing, found, strict=True))
-        doubts = {k: self._doubt(self._markers[k], spot, others) for k, (spot, _) in chosen.items()}
+        doubts = {k: self._doubt(k, spot, others) for k, (spot, _) in chosen.items()}
         if all(doubt == "ok" for doubt in doubts.values()):
             for k in missing:
-                self._markers[k].rivals = []
+                self._markers[k].belief.clear()
             return chosen, {}
         # One that is doubtful may not be a marker at all, and the others' names depend on it.
         return {}, {k: "ambiguous" if doubt == "ok" else doubt for k, doubt in doubts.items()}
@@ -276,7 +302,7 @@ class Acquisition:
         chosen: dict[int, Candidate] = {}
         reasons: dict[int, Reason] = dict.fromkeys(missing, "not_acquired")
         parameters = self._parameters
-        at = [marker.u for marker in self._markers if marker.is_followed and marker.lost_frames == 0]
+        at = [marker.motion.u for marker in self._markers if marker.is_followed and marker.lost_frames == 0]
         left, right = beam_reach(at, parameters.max_bend_px)
         for k in missing:
             marker = self._markers[k]
@@ -291,95 +317,93 @@ class Acquisition:
                 and not is_taken(self._markers, candidate[0], k, parameters.marker_diameter_px / 2)
             ]
             beside = [(u, v) for u, v in others if left <= u <= right and abs(v - row) <= tolerance]
-            self._follow_company(marker, [spot for spot, _ in near], left, right)
-            told = self._told(k, [spot for spot, _ in near])
+            told = self._told(k, [spot for spot, _ in near], [u for u, _ in beside])
             if told is not None:
                 # What moves as the beam does is the marker, whatever else is or was there.
-                near = [candidate for candidate in near if candidate[0].u == told]
-                marker.clutter, beside = [], []
-            if len(near) == 1 and (told is not None or not marker.rivals):
-                reasons[k] = self._doubt(marker, near[0][0], beside)
+                near, beside, self.clutter[k] = [near[told]], [], []
+            if len(near) == 1 and (told is not None or not marker.belief.hypotheses):
+                reasons[k] = self._doubt(k, near[0][0], beside)
                 if reasons[k] == "ok":
                     chosen[k] = near[0]
-                    marker.rivals = [track for track in marker.rivals if track.u != told]
                     del reasons[k]
             else:
-                marker.sighting = None
-                marker.note_clutter([u for u, _ in beside], self._frame)
+                self._sightings[k] = None
+                self._note_clutter(k, [u for u, _ in beside])
                 if near:
                     reasons[k] = "ambiguous"
         return chosen, reasons
 
-    def _told(self, k: int, spots: list[Spot]) -> float | None:
-        """Column of the one spot of several in a marker's row that moves as the beam does; None where none does."""
-        marker = self._markers[k]
-        # The lowest marker may rest while the beam swings.
-        ways = [other.way for other in self._markers if other.is_followed]
-        swings = swinging(marker.rivals, ways, self._frame) if k > 0 else None
-        foretold = marker.foretold_among(spots, self._frame, self._parameters)
-        marker.told_frames = 0 if foretold is None else marker.told_frames + 1
-        if swings is not None:
-            return swings.u
-        if foretold is None or not marker.rivals or marker.told_frames < CONFIRMED_FRAMES:
+    def _told(self, k: int, spots: list[Spot], things: list[float]) -> int | None:
+        """Which one of several spots in a marker's row it is, by their motions; None where that is not certain."""
+        belief, now = self._markers[k].belief, self._now
+        if not belief.hypotheses and len(spots) > 1:
+            belief.begin([SpotPath(((self._frame, spot.u),), spot.v) for spot in spots])
             return None
-        marker.is_foretold = True
-        return foretold.u
+        if not belief.hypotheses or now is None:
+            return None
+        possible = [Possible(spot.u, spot.v) for spot in spots]
+        found = belief.update(None, self._recovery.view(k, things, possible, now))
+        if belief.is_alone and found is None and not spots:
+            belief.clear()
+        return found
 
-    def _follow_company(self, marker: MarkerState, spots: list[Spot], left: float, right: float) -> None:
-        """Follow all spots of a marker's kind in its row, until one is left because the others have gone out of it.
+    def _note_clutter(self, k: int, columns: list[float]) -> None:
+        """Note what was seen in a marker's row and is not known to be the marker."""
+        kept = [thing for thing in self.clutter[k] if self._frame - thing.last < LONELY_FRAMES]
+        for u in columns:
+            old = next((thing for thing in kept if abs(thing.u - u) <= SAME_PLACE_PX), None)
+            if old is None:
+                kept.append(Thing(u, self._frame, self._frame))
+            else:
+                old.last = self._frame
+        self.clutter[k] = kept
 
-        One that disappears within the row may be the marker, covered.
-        """
-        if len(spots) < 2 and not marker.rivals:
-            return
-        reach, frame = self._parameters.max_jump_px, self._frame
-        tracks, free = associated(marker.rivals, spots, frame, reach)
-        tracks += [Track.of(spot, frame) for spot in free]
-        tracks = present(tracks, frame, left, right, reach)
-        marker.rivals = tracks if len(tracks) > 1 else []
-
-    def _doubt(self, marker: MarkerState, spot: Spot, others: list[tuple[float, float]]) -> Reason:
+    def _doubt(self, k: int, spot: Spot, others: list[tuple[float, float]]) -> Reason:
         """Name what makes a spot doubtful that is alone of its kind in a marker's row; "ok" where nothing does."""
         shear = self._shear_of_speed * self._parameters.max_gate_px
         disc = one_disc(*self._bare[spot], self._parameters, self._narrower, shear)
-        before = marker.sighting
-        marker.sighting = self._frame, spot.u, disc.excess, disc.covariance
-        marker.velocity = spot.u - before[1] if before is not None and before[0] == self._frame - 1 else 0.0
+        before, motion = self._sightings[k], self._markers[k].motion
+        if before is not None and before.frame != self._frame - 1:
+            before = None
+        self._sightings[k] = Sighted(self._frame, spot.u, disc.excess, disc.covariance)
+        motion.velocity = spot.u - before.u if before is not None else 0.0
         beside = [u for u, v in others if math.dist((u, v), spot[:2]) > SAME_PLACE_PX]
         things = beside if disc.reason == "ok" else [*beside, spot.u]
-        marker.note_clutter(things, self._frame)
-        if before is not None and before[0] == self._frame - 1:
-            self._note_aspect(marker, spot, disc, before[2])
+        self._note_clutter(k, things)
+        if before is not None:
+            self._note_aspect(motion, spot, disc, before.excess)
         if disc.reason != "ok":
             return disc.reason
         # Anything else may be the marker, smeared, joined with a twin or covered in part.
         if any(
             thing.is_new(self._frame)
             and (thing.last == self._frame or abs(thing.u - spot.u) > self._parameters.marker_diameter_px)
-            for thing in marker.clutter
+            for thing in self.clutter[k]
         ):
             return "ambiguous"
         if max(disc.excess, abs(disc.covariance)) <= disc.tolerance:
             return "ok"
-        if before is None or before[0] != self._frame - 1:
+        if before is None:
             return "smear"
-        explained = self._explained(marker)
-        lengths = math.sqrt(max(disc.excess, 0.0)), math.sqrt(max(before[2], 0.0))
+        explained = self._explained(motion)
+        lengths = math.sqrt(max(disc.excess, 0.0)), math.sqrt(max(before.excess, 0.0))
         slack = disc.tolerance + _SPEED_SLACK * explained + (lengths[0] - lengths[1]) ** 2 / 4
-        if (disc.excess + before[2]) / 2 - explained > slack:
+        if (disc.excess + before.excess) / 2 - explained > slack:
             return "smear"
         # The mean of both is sheared by the mean speed, at most.
-        half = self._shear_of_speed * (spot.u - before[1]) * self._bare[spot][2].variance_v / 2
-        slack = disc.tolerance + (1 + 2 * _SPEED_SLACK) * abs(half) + abs(disc.covariance - before[3]) / 4
-        return "ok" if abs((disc.covariance + before[3]) / 2 - half) <= slack else "shape"
+        half = self._shear_of_speed * (spot.u - before.u) * self._bare[spot][2].variance_v / 2
+        slack = (
+            disc.tolerance + (1 + 2 * _SPEED_SLACK) * abs(half) + abs(disc.covariance - before.covariance) / 4
+        )
+        return "ok" if abs((disc.covariance + before.covariance) / 2 - half) <= slack else "shape"
 
-    def _explained(self, marker: MarkerState) -> float:
+    def _explained(self, motion: MarkerMotion) -> float:
         """Second moment along u that a marker's mean speed since the frame before explains [px^2]."""
         # The speed is that of the two exposures' middles; the exposure is a part of the time in between.
         share = min(1.0, self._exposure_s * 1e9 / self._elapsed_ns) if self._elapsed_ns > 0 else 1.0
-        return (share * marker.velocity) ** 2 / 12
+        return (share * motion.velocity) ** 2 / 12
 
-    def _note_aspect(self, marker: MarkerState, spot: Spot, disc: OneDisc, excess_before: float) -> None:
+    def _note_aspect(self, motion: MarkerMotion, spot: Spot, disc: OneDisc, excess_before: float) -> None:
         """Take the aspect of a spot that is out of round by more than its motion explains.
 
         Notes
@@ -387,7 +411,7 @@ class Acquisition:
         A disc of area S and aspect q has second moments that differ by S (q - 1 / q) / (4 pi). What is beyond that of
         the expected aspect is the spot's excess.
         """
-        explained = self._explained(marker)
+        explained = self._explained(motion)
         left = (disc.excess + excess_before) / 2 - explained
         if abs(left) <= disc.tolerance + _SPEED_SLACK * explained:
             return

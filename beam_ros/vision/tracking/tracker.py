@@ -19,28 +19,18 @@ from typing import NamedTuple
 import numpy as np
 
 from beam_ros.arrays import ImageArray
-from beam_ros.vision.defects import LOOKS, DefectivePixels
+from beam_ros.vision.ailments import Ailments
 from beam_ros.vision.errors import ImageFormatError, VisionParameterError
-from beam_ros.vision.fields import InterlacedFields
-from beam_ros.vision.noise_reduction import STILL_PX, NoiseReduction
+from beam_ros.vision.noise_reduction import STILL_PX
 from beam_ros.vision.parameters import TrackerParameters
-from beam_ros.vision.repeats import LATELY, RepeatedImages, is_shown_again
 from beam_ros.vision.timing import FrameTiming
 from beam_ros.vision.tracking.acquisition import Acquisition
 from beam_ros.vision.tracking.appearance import Appearance, Light
+from beam_ros.vision.tracking.association import SpotPath
 from beam_ros.vision.tracking.disc_model import DiscFit
-from beam_ros.vision.tracking.marker_state import (
-    SAME_PLACE_PX,
-    Foretold,
-    MarkerState,
-)
+from beam_ros.vision.tracking.marker_state import SAME_PLACE_PX, Foretold, MarkerState
 from beam_ros.vision.tracking.moments import beyond
-from beam_ros.vision.tracking.recovery import Recovery
-from beam_ros.vision.tracking.rivals import (
-    Track,
-    continued,
-    recent,
-)
+from beam_ros.vision.tracking.recovery import Frame, Recovery
 from beam_ros.vision.tracking.second_image import (
     NO_PULL,
     TELLING_PX,
@@ -58,6 +48,8 @@ _KNOWN_FRAMES = 3
 """A marker that is lost before it was seen in so many frames is acquired anew: something may have touched it then."""
 _NOWHERE = (math.nan,) * 3
 """Place and standard deviation of what is not valid."""
+_TWO_IN_ONE, _JOINED = 1.1, 0.9
+"""What is so many times as large as the marker, and compact, is with this probability the marker and another spot."""
 _CHORES_EVERY_FRAMES = 8
 """Noise and levels are measured anew, and rivals looked for, once in so many frames."""
 
@@ -180,9 +172,8 @@ class MarkerTracker:
             camera = timing.camera
             self._period_s, self._exposed_s = camera.period_s, camera.exposure_s
             self._row_delay_s = camera.readout_s / (camera.height - 1)
-        self._frame = self._look_until = self._stamp_ns = 0
+        self._frame = self._stamp_ns = 0
         self._since_s, self._shear_of_speed = self._period_s, 0.0
-        self._n_repeated = 0
         self.reset()
 
     # -- state ---------------------------------------------------------------------------------------------
@@ -196,15 +187,11 @@ class MarkerTracker:
         self._markers = [
             MarkerState(None if rows is None else rows[k] - self._top) for k in range(self.n_markers)
         ]
-        self._acquisition = Acquisition(self._meter, self._markers, self._exposure_s)
         self._recovery = Recovery(self._meter, self._markers)
+        self._acquisition = Acquisition(self._meter, self._markers, self._recovery, self._exposure_s)
         self._seconds = SecondImages(self._exposed_s, self._row_delay_s)
-        self._defects = DefectivePixels()
-        self._repeats = RepeatedImages()
-        self._fields = InterlacedFields()
-        self._reduction = NoiseReduction()
-        self._shape = None
-        self._frame, self._look_until, self._n_repeated = 0, LOOKS, 0
+        self._ailments = Ailments()
+        self._shape, self._frame = None, 0
 
     def pass_over(self, n_frames: int) -> None:
         """Take note that so many frames are missing: the markers may be elsewhere, and are what they were."""
@@ -237,12 +224,12 @@ class MarkerTracker:
     @property
     def fields_apart(self) -> float:
         """Time between the instants that even and odd rows show [frames]; 0 where nothing shows that they are two."""
-        return self._fields.apart
+        return self._ailments.fields.apart
 
     @property
     def lag_frames(self) -> float:
         """How far a temporal noise reduction shows what moves behind its time [frames]; 0 where nothing shows one."""
-        return self._reduction.lag_frames
+        return self._ailments.reduction.lag_frames
 
     @property
     def shows_mosaic(self) -> bool:
@@ -318,7 +305,9 @@ class MarkerTracker:
     def _process(self, image: ImageArray, stamp_ns: int, foretold: Sequence[Foretold]) -> FrameResult:
         """Measure every marker in the region of a frame."""
         self._frame += 1
-        if self._repeats.is_repeated(image) and any(marker.is_moving for marker in self._markers):
+        if self._ailments.is_repeated(image) and any(
+            marker.is_followed and marker.motion.is_going for marker in self._markers
+        ):
             self._recovery.note_losses(self._frame)
             nothing = [self._invalid(marker, "repeated", stamp_ns, math.nan) for marker in self._markers]
             return FrameResult(stamp_ns, tuple(nothing), ())
@@ -328,34 +317,30 @@ class MarkerTracker:
         self._shear_of_speed = self._recovery.shear_of_speed = self._row_delay_s / self._since_s
         for marker, place in zip_longest(self._markers, foretold):
             marker.foretold, marker.is_foretold = place, False
-        image = self._defects.mended(image, self._contrast(image) if self._frame <= self._look_until else 0.0)
-        reasons: dict[int, Reason] = {}
+        image = self._ailments.mended(image, self._frame, lambda: self._contrast(image))
+        frame = Frame(image, self._frame, {}, {})
+        spots, reasons = frame.spots, frame.reasons
+        self._measure(frame, [k for k, marker in enumerate(self._markers) if marker.is_seen])
         if not self.is_acquired:
-            self._look_until = self._frame + LOOKS
-            reasons = self._acquisition.acquire(image, self._frame, elapsed_ns, self._shear_of_speed)
-        spots: dict[int, Spot] = {}
-        places = {
-            k: self._expected(marker)
-            for k, marker in enumerate(self._markers)
-            if marker.lost_frames == 0 and k not in reasons
-        }
-        measured = self._meter.measure_all(image, places.values())
-        for (k, place), (spot, reason) in zip(places.items(), measured, strict=True):
-            if spot is not None:
-                spots[k], reason = spot, self._compare(image, self._markers[k], spot, place[0])
-            reasons[k] = reason
+            self._ailments.watch(self._frame)
+            missing = [k for k, marker in enumerate(self._markers) if not marker.is_followed]
+            reasons.update(self._acquisition.acquire(frame, elapsed_ns, self._shear_of_speed))
+            self._measure(frame, [k for k in missing if self._markers[k].is_seen])
         lost = [k for k, m in enumerate(self._markers) if reasons.get(k) != "ok" and m.is_followed]
+        checked = [k for k, reason in reasons.items() if reason == "ok" and self._is_to_be_checked(k)]
         if lost:
-            self._look_until = self._frame + LOOKS
-            self._recovery.find(image, self._frame, lost, spots, reasons)
-        elif self._n_repeated < LATELY and is_shown_again(
-            ((self._markers[k].way, spots[k].u, self._markers[k].sigma) for k in places), self._frame
+            self._ailments.watch(self._frame)
+        elif self._ailments.is_shown_again(
+            (
+                (self._markers[k].motion.way, spot.u, self._markers[k].motion.sigma)
+                for k, spot in spots.items()
+            ),
+            self._frame,
         ):
             # The markers are where they are, which this image does not tell: the next one does.
-            self._n_repeated += 1
             nothing = [self._nothing(marker, "repeated", stamp_ns, math.nan) for marker in self._markers]
             return FrameResult(stamp_ns, tuple(nothing), ())
-        self._n_repeated = 0
+        self._recovery.find(frame, lost, checked)
         found = [self._found(image, k, spots.get(k), reasons[k], stamp_ns) for k in range(self.n_markers)]
         sights = [sight for sight in found if isinstance(sight, Sight)]
         pulls: Iterator[Pull] = repeat(NO_PULL)
@@ -372,13 +357,14 @@ class MarkerTracker:
             self._result(image, sight, next(pulls), stamp_ns) if isinstance(sight, Sight) else sight
             for sight in found
         ]
-        if self._frame >= self._fields.next_frame:
+        if self._frame >= self._ailments.fields.next_frame:
             for k in range(self.n_markers):
                 self._look_at_fields(image, k, found[k])
-        if self._frame >= self._reduction.next_frame and any(
-            sight.marker.steps > 0 and abs(sight.marker.velocity) <= STILL_PX for sight in sights
+        if self._frame >= self._ailments.reduction.next_frame and any(
+            sight.marker.motion.steps > 0 and abs(sight.marker.motion.velocity) <= STILL_PX
+            for sight in sights
         ):
-            self._reduction.look(self._frame, image, [sight.spot.region for sight in sights])
+            self._ailments.reduction.look(self._frame, image, [sight.spot.region for sight in sights])
         self._recovery.before = image
         told = [k for k, marker in enumerate(self._markers) if marker.is_foretold] if foretold else ()
         return FrameResult(stamp_ns, tuple(results), tuple(told))
@@ -399,7 +385,7 @@ class MarkerTracker:
             if marker.is_followed:
                 row = self._recovery.in_row(image, k, is_wide=True)
                 spots += [SeenSpot(spot.u, spot.v, k, "like it") for spot, _ in row.alike]
-                spots += [SeenSpot(u, marker.v, k, why) for u, why in row.others]
+                spots += [SeenSpot(u, marker.motion.v, k, why) for u, why in row.others]
         return [spot._replace(u_px=spot.u_px + self._left, v_px=spot.v_px + self._top) for spot in spots]
 
     def _contrast(self, image: ImageArray) -> float:
@@ -420,34 +406,62 @@ class MarkerTracker:
 
     def _nothing(self, marker: MarkerState, reason: Reason, stamp_ns: int, area: float) -> MarkerMeasurement:
         """Measurement of a marker that is not valid."""
-        row = marker.v if math.isfinite(marker.v) or marker.known_row is None else marker.known_row
+        row = (
+            marker.motion.v
+            if math.isfinite(marker.motion.v) or marker.known_row is None
+            else marker.known_row
+        )
         contrast = math.nan if marker.light is None else marker.light.contrast
         return MarkerMeasurement(*_NOWHERE, False, reason, self._stamp(stamp_ns, row), contrast, area)
 
     def _look_at_fields(self, image: ImageArray, k: int, sight: Sight | MarkerMeasurement) -> None:
         """Look for two instants in the rows of a marker."""
-        if isinstance(sight, Sight) and sight.marker.steps > 0:
-            marker, (left, top, right, bottom) = sight.marker, sight.spot.region
+        if isinstance(sight, Sight) and sight.marker.motion.steps > 0:
+            motion, (left, top, right, bottom) = sight.marker.motion, sight.spot.region
 
             def light() -> ImageArray:
                 is_dark = self.parameters.polarity == "dark"
                 return beyond(image[top:bottom, left:right], (sight.light.level,), is_dark=is_dark)
 
-            self._fields.look(self._frame, k, light, top, marker.u, marker.velocity, sight.found.sigma_u)
+            self._ailments.fields.look(
+                self._frame, k, light, top, motion.u, motion.velocity, sight.found.sigma_u
+            )
+
+    def _measure(self, frame: Frame, numbers: Sequence[int]) -> None:
+        """Measure markers where they should be."""
+        places = [self._expected(self._markers[k]) for k in numbers]
+        measured = self._meter.measure_all(frame.image, places)
+        for k, place, (spot, reason) in zip(numbers, places, measured, strict=True):
+            if spot is not None:
+                frame.spots[k] = spot
+                reason = self._compare(frame.image, self._markers[k], spot, place[0])
+            frame.reasons[k] = reason
+
+    def _is_to_be_checked(self, k: int) -> bool:
+        """True where a marker is new, was not known for certain, or is to be looked at once more."""
+        marker = self._markers[k]
+        return (
+            self._frame - marker.acquired_at < _PROBATION_FRAMES
+            or (self._frame + k) % _CHORES_EVERY_FRAMES == 0
+            or marker.belief.is_watched(self._frame, _PROBATION_FRAMES)
+        )
 
     def _beside(self, marker: MarkerState) -> list[float]:
-        """Columns in which a marker's rivals should be [px]."""
-        return [rival.predicted(self._frame) for rival in recent(marker.rivals, self._frame)]
+        """Columns in which other spots of a marker's kind should be [px]."""
+        others = marker.belief.others
+        return [
+            path.predicted(self._frame)[0] for path in others if self._frame - path.frame <= _PROBATION_FRAMES
+        ]
 
     def _expected(self, marker: MarkerState) -> tuple[float, float, Light, bool]:
         """Where and in which light a marker should be, and whether another spot is near."""
         assert marker.light is not None
         assert marker.appearance is not None
         predicted, is_crowded = marker.predicted, marker.appearance.is_bounded
-        if marker.rivals:
+        if not marker.belief.is_alone:
             near = self._meter.half + self._meter.radius + APART_PX
             is_crowded |= any(abs(at - predicted) < near for at in self._beside(marker))
-        return predicted, marker.v, marker.light, is_crowded
+        return predicted, marker.motion.v, marker.light, is_crowded
 
     def _compare(self, image: ImageArray, marker: MarkerState, spot: Spot, predicted: float) -> Reason:
         """Compare a spot with the marker that should be there, in a predicted column [px]."""
@@ -455,24 +469,20 @@ class MarkerTracker:
         assert light is not None
         assert appearance is not None
         assert gates is not None
-        rivals = self._beside(marker) if marker.rivals else []
         upright = spot
         if self._shear_of_speed > 0.0:
-            speed, doubt = marker.speed(spot.u, self._frame)
+            speed, doubt = marker.motion.speed(spot.u, marker.lost_frames)
             upright = upright_spot(spot, self._shear_of_speed * speed, self._shear_of_speed * doubt)
-        reason, distance = self._meter.judge(upright, gates), abs(spot.u - predicted)
-        if reason == "ok" and (
-            distance > self.parameters.max_jump_px
-            or (rivals and 2 * distance >= min(abs(spot.u - at) for at in rivals))
-        ):
+        reason = self._meter.judge(upright, gates)
+        if reason == "ok" and abs(spot.u - predicted) > self.parameters.max_jump_px:
             reason = "ambiguous"
-        # What fails may be the marker and a rival in one.
-        if reason != "ok" and (
-            any(abs(at - marker.u) < 2 * self.parameters.marker_diameter_px for at in rivals)
-            or (spot.area > 1.1 * appearance.area and self._meter.is_compact(image, spot, light))
+        if (
+            reason != "ok"
+            and marker.belief.is_alone
+            and spot.area > _TWO_IN_ONE * appearance.area
+            and self._meter.is_compact(image, spot, light)
         ):
-            marker.is_mixed, marker.is_joined, marker.is_blind = True, not marker.rivals, False
-            marker.rivals.append(Track(marker.u, 0.0, self._frame - 1, v=marker.v))
+            marker.belief.join(marker.path, _JOINED)
         return reason
 
     def _found(
@@ -484,28 +494,23 @@ class MarkerTracker:
         if spot is None or reason != "ok" or light is None or appearance is None:
             invalid = self._invalid(marker, reason, stamp_ns, math.nan if spot is None else spot.area)
             if appearance is not None and appearance.frames < _KNOWN_FRAMES:
-                if marker.rivals:  # one of these, or what was taken for it, is the marker
-                    marker.rivals.append(Track(marker.u, 0.0, self._frame - marker.lost_frames, v=marker.v))
+                if not marker.belief.is_alone and (path := marker.path) is not None:
+                    marker.belief.begin([path, *marker.belief.others])  # one of these is the marker
                 marker.forget()
             return invalid
         age = self._frame - marker.acquired_at
         is_new = age < _PROBATION_FRAMES
         is_fresh = age == 0 or marker.lost_at == self._frame or marker.lost_frames > 0
         is_due = (self._frame + k) % _CHORES_EVERY_FRAMES == 0
-        is_accompanied = bool(marker.rivals) and bool(recent(marker.rivals, self._frame))
-        if is_due or is_fresh or is_new or is_accompanied:
-            row = self._recovery.in_row(image, k, own=spot.u)
-            if is_fresh or not appearance.is_settled:
-                appearance.is_bounded = meter.is_bounded(image, spot, light.contrast)
-            if is_new and self._has_company(marker, row):
-                marker.forget()
-                marker.rivals = [
-                    Track.of(other, self._frame) for other in (spot, *(other for other, _ in row.alike))
-                ]
-                return self._invalid(marker, "ambiguous", stamp_ns, spot.area)
-            if row.alike or marker.rivals:
-                others = [other for other, _ in row.alike]
-                marker.rivals = continued(marker.rivals, others, self._frame, self.parameters.max_gate_px)
+        is_accompanied = marker.belief.is_watched(self._frame, _PROBATION_FRAMES)
+        row = self._recovery.rows.get(k)
+        if is_fresh or (row is not None and not appearance.is_settled):
+            appearance.is_bounded = meter.is_bounded(image, spot, light.contrast)
+        if is_new and row is not None and (beside := self._company(k, spot, row)) is not None:
+            marker.forget()
+            seen = [spot, *beside] if beside else []
+            marker.belief.begin([SpotPath(((self._frame, other.u),), other.v) for other in seen])
+            return self._invalid(marker, "ambiguous", stamp_ns, spot.area)
         if self._is_refined:
             shear, bend = self._within_exposure(marker, spot.u, is_fresh=is_fresh)
             found = meter.refine(image, spot, light, appearance, shear, bend)
@@ -533,16 +538,18 @@ class MarkerTracker:
         """Shear and bend that a marker's motion makes of its image, as in ``DiscModel.fit`` [px/px, px]."""
         shear, bend = None, math.inf
         if self._row_delay_s > 0.0:
-            speed, doubt = (0.0, self.parameters.max_gate_px) if is_fresh else marker.speed(u, self._frame)
+            speed, doubt = (
+                (0.0, self.parameters.max_gate_px) if is_fresh else marker.motion.speed(u, marker.lost_frames)
+            )
             shear = self._shear_of_speed * (abs(speed) + doubt)
-        if not is_fresh and marker.steps > 1:
-            bend = marker.turn(u) * (self._exposed_s / self._since_s) ** 2 / 2
+        if not is_fresh and marker.motion.steps > 1:
+            bend = marker.motion.turn(u) * (self._exposed_s / self._since_s) ** 2 / 2
         return shear, bend
 
     def _is_plain(self, sight: Sight) -> bool:
         """True where a marker's mean speed explains what is seen of it."""
         marker, appearance = sight.marker, sight.appearance
-        if marker.is_pulled or not appearance.is_settled:
+        if marker.motion.is_pulled or not appearance.is_settled:
             return False
         exposed = self._exposed_s / self._since_s
         return is_explained(sight.found, appearance, self._step(sight), exposed)
@@ -550,34 +557,38 @@ class MarkerTracker:
     @staticmethod
     def _step(sight: Sight) -> float:
         """How far a marker came since the frame before [px]; 0 where that did not show it."""
-        return sight.spot.u - sight.marker.u if sight.marker.lost_frames == 0 else 0.0
+        return sight.spot.u - sight.marker.motion.u if sight.marker.lost_frames == 0 else 0.0
 
     def _sighting(self, sight: Sight) -> Sighting:
         """What a marker shows of a second image."""
         marker, _, appearance, spot, found, _, _, _ = sight
         is_known = marker.lost_frames == 0 and marker.acquired_at < self._frame
-        step = spot.u - marker.u - marker.behind if is_known else math.nan
+        motion = marker.motion
+        step = spot.u - motion.u - motion.behind if is_known else math.nan
         if abs(step) > self.parameters.marker_diameter_px:
             step = 0.0  # an image of the marker so far away does not touch it
-        speed, doubt = marker.speed(spot.u, self._frame)
+        speed, doubt = motion.speed(spot.u, marker.lost_frames)
         flatness = self._meter.flatness(appearance)
-        return Sighting(found, appearance, flatness, step, abs(speed), doubt, marker.is_pulled)
+        return Sighting(found, appearance, flatness, step, abs(speed), doubt, motion.is_pulled)
 
     def _result(self, image: ImageArray, sight: Sight, pull: Pull, stamp_ns: int) -> MarkerMeasurement:
         """State where a marker is, and carry it into what is known of it."""
         marker, light, appearance, spot, found, is_fresh, is_lit, is_due = sight
-        meter, (motion, pull_px, marker.is_pulled, marker.behind) = self._meter, pull
+        meter, own = self._meter, marker.motion
+        smear, pull_px, own.is_pulled, own.behind = pull
         v, is_believed = spot.v, pull_px < math.inf
         gates, ground, plateau = marker.gates, light.background, spot.plateau
         if gates is not None and spot.variance_u > gates.plain_u:
             plateau = ground + (plateau - ground) / meter.lit_share(spot, gates)
-        marker.remember(spot.u, v, self._frame, is_fresh=is_fresh)
+        own.remember(spot.u, v, self._frame, is_fresh=is_fresh)
+        if is_fresh:
+            marker.lost_frames = 0
         appearance.row = v
         uneven_px = 0.0
         if gates is not None and appearance.frames >= _KNOWN_FRAMES:
             uneven_px = meter.uneven_pull(spot, gates, appearance, found.sigma_u)
         if is_believed and not appearance.is_settled:
-            meter.settle(spot, light, appearance, found, motion)
+            meter.settle(spot, light, appearance, found, smear)
         if is_lit:
             light.absorb(plateau, *meter.sides(image, spot))
         if is_due or is_fresh or not appearance.is_settled:
@@ -587,29 +598,26 @@ class MarkerTracker:
         if not is_believed:
             # It is followed all the same: what lies over it has not taken its place.
             return MarkerMeasurement(*_NOWHERE, False, "smear", stamp_ns, light.contrast, spot.area)
-        if self._fields.likely_apart > 0.0:  # the mean of two instants is off the middle one
-            uneven_px = math.hypot(uneven_px, self._fields.likely_apart**2 / 8 * marker.linear_error)
-        if self._defects.count:
-            disc = appearance.radius, appearance.edge
-            filled_px = self._defects.pull(spot.u, v, disc, light.contrast, light.noise)
-            uneven_px = math.hypot(uneven_px, filled_px)
-        if self._reduction.share > 0.0:
-            step, tail = (
-                max(abs(marker.velocity), marker.hold_error),
-                max(found.excess - appearance.excess, 0.0),
-            )
-            uneven_px = math.hypot(uneven_px, self._reduction.lag_px(step, tail + found.sigma_excess))
-        sigma = marker.sigma = math.hypot(
-            max(found.sigma_u, pull_px), uneven_px, self.parameters.sigma_floor_px
+        spread_px = self._ailments.spread_px(
+            (spot.u, v),
+            (appearance.radius, appearance.edge),
+            (light.contrast, light.noise),
+            (max(abs(own.velocity), own.hold_error), own.linear_error),
+            max(found.excess - appearance.excess, 0.0) + found.sigma_excess,
+        )
+        sigma = own.sigma = math.hypot(
+            max(found.sigma_u, pull_px), uneven_px, spread_px, self.parameters.sigma_floor_px
         )
         return MarkerMeasurement(found.u, found.v, sigma, True, "ok", stamp_ns, light.contrast, spot.area)
 
-    def _has_company(self, marker: MarkerState, row: RowSpots) -> bool:
-        """True when a row shows something that was not there when its marker was acquired."""
-        known = [thing.u for thing in marker.clutter]
-        known += [rival.predicted(self._frame) for rival in marker.rivals]
-        return any(
-            abs(u - marker.u) <= self.parameters.max_gate_px
-            and all(abs(u - thing) > SAME_PLACE_PX for thing in known)
-            for u in [*(spot.u for spot, _ in row.alike), *(u for u, _ in row.others)]
+    def _company(self, k: int, spot: Spot, row: RowSpots) -> list[Spot] | None:
+        """Spots of its kind beside a marker that was just acquired, where something is new there; None where not."""
+        marker, reach = self._markers[k], self.parameters.max_gate_px
+        known = [thing.u for thing in self._acquisition.clutter[k]]
+        known += [path.predicted(self._frame)[0] for path in marker.belief.others if len(path.places) > 1]
+        alike = [other for other, _ in row.alike if abs(other.u - spot.u) > self._meter.radius]
+        is_new = any(
+            abs(u - spot.u) <= reach and all(abs(u - thing) > SAME_PLACE_PX for thing in known)
+            for u in [*(other.u for other in alike), *(u for u, _ in row.others)]
         )
+        return alike if is_new else None

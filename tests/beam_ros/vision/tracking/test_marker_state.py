@@ -5,7 +5,7 @@ import pytest
 
 from beam_ros.vision.rendering.disturbances import Disturbances, Occluder, SecondSpot
 from beam_ros.vision.rendering.frames import SceneRenderer
-from beam_ros.vision.tracking.marker_state import MarkerState, moved_together, shared
+from beam_ros.vision.tracking.marker_state import MarkerMotion, shared
 from beam_ros.vision.tracking.tracker import MarkerTracker
 from tests.beam_ros.vision.packaged_rig import packaged_camera, packaged_tracker
 
@@ -188,34 +188,6 @@ def test_two_spots_in_a_marker_row_after_a_jump_leave_that_marker_lost():
     assert lost == [0, 12, 0, 0]
 
 
-@pytest.mark.parametrize(
-    ("found", "seen", "believed"),
-    [
-        # All markers, wherever each is along u, but in rows that moved together.
-        ({0: (40, 0), 1: (-60, 0), 2: (5, 0)}, {}, [0, 1, 2]),
-        ({0: (40, 8), 1: (-60, 8), 2: (5, 9)}, {}, [0, 1, 2]),
-        ({0: (40, 0), 1: (40, 9), 2: (40, -9)}, {}, []),
-        # Most markers, moved alike, or further the higher they are; another way is another spot's.
-        ({0: (40, 0), 1: (30, 0)}, {}, [0, 1]),
-        ({1: (70, 0), 2: (110, 0)}, {0: (1, 0)}, [1, 2]),
-        ({1: (110, 0), 2: (70, 0)}, {0: (1, 0)}, []),
-        ({0: (40, 0), 1: (-40, 0)}, {}, []),
-        # One alone only in company of those that are seen where they have moved alike.
-        ({0: (40, 0)}, {}, []),
-        ({0: (40, 0)}, {1: (0, 0), 2: (0, 0)}, []),
-        ({0: (40, 0)}, {1: (35, 0)}, [0]),
-        ({0: (40, 9)}, {1: (35, 0)}, []),
-        ({}, {1: (35, 0)}, []),
-    ],
-)
-def test_what_is_believed_of_three_markers(found, seen, believed):
-    assert sorted(moved_together(found, seen, 3, slack_px=24.0, row_slack_px=5.0)) == believed
-
-
-def test_a_single_marker_is_never_believed_to_have_jumped():
-    assert moved_together({0: (100.0, 0.0)}, {}, 1, slack_px=24.0, row_slack_px=5.0) == []
-
-
 def test_what_took_a_lost_marker_place_before_the_others_jumped_is_no_part_of_the_jump():
     camera, renderer, tracker = make()
     rng = np.random.default_rng(82)
@@ -233,16 +205,16 @@ def cubic(k: int) -> float:
     return 1.0 + 0.5 * k - 0.3 * k**2 + 0.1 * k**3
 
 
-def cubic_motion(n_places: int) -> MarkerState:
+def cubic_motion(n_places: int) -> MarkerMotion:
     """Return a marker that was seen in so many frames of a cubic motion, from frame 0 on."""
-    marker = MarkerState(None)
+    marker = MarkerMotion()
     for k in range(n_places):
         marker.remember(cubic(k), 0.0, k, is_fresh=k == 0)
     return marker
 
 
 def test_the_speed_of_a_cubic_motion_is_its_slope():
-    speed, doubt = cubic_motion(5).speed(cubic(5), 5)
+    speed, doubt = cubic_motion(5).speed(cubic(5), 0)
     assert speed == pytest.approx(0.5 - 0.6 * 5 + 0.3 * 25)
     # Second differences, -0.6 + 0.6 (k - 1), are 1.8; third ones 0.6. Half of one is more than a third of the other.
     assert doubt == pytest.approx(0.9)
@@ -250,9 +222,9 @@ def test_the_speed_of_a_cubic_motion_is_its_slope():
 
 def test_the_speed_of_a_marker_is_as_uncertain_as_it_has_been_seen_in_few_frames():
     first, second = cubic(1) - cubic(0), cubic(2) - cubic(1)
-    assert cubic_motion(1).speed(cubic(1), 1) == pytest.approx((first, abs(first)))
+    assert cubic_motion(1).speed(cubic(1), 0) == pytest.approx((first, abs(first)))
     change = second - first
-    assert cubic_motion(2).speed(cubic(2), 2) == pytest.approx((second + change / 2, abs(change)))
+    assert cubic_motion(2).speed(cubic(2), 0) == pytest.approx((second + change / 2, abs(change)))
 
 
 @pytest.mark.parametrize("frequency", [0.02, 0.1, 0.2, 0.25, 0.3, 0.4])
@@ -260,10 +232,10 @@ def test_the_speed_of_a_sine_lies_below_what_its_steps_allow(frequency):
     omega = 2 * np.pi * frequency
     for phase in np.linspace(0, np.pi, 50):
         places = np.sin(omega * np.arange(5) + phase)
-        marker = MarkerState(None)
+        marker = MarkerMotion()
         for k, u in enumerate(places[:-1]):
             marker.remember(u, 0.0, k, is_fresh=k == 0)
-        speed, doubt = marker.speed(places[-1], 4)
+        speed, doubt = marker.speed(places[-1], 0)
         most = np.pi / 2 * np.abs(np.diff(places)[-3:]).max()
         assert abs(omega * np.cos(4 * omega + phase)) <= most * (1 + 1e-9)
         assert abs(speed) + doubt <= most * (1 + 1e-9)
@@ -273,8 +245,7 @@ def test_the_speed_of_a_sine_lies_below_what_its_steps_allow(frequency):
 def test_the_speed_of_a_marker_that_was_lost_is_that_of_its_way_until_it_was_lost_too_long():
     marker = cubic_motion(5)
     for lost, share in ((1, 0.5), (3, 0.25), (4, 0.0)):
-        marker.lost_frames = lost
-        assert marker.speed(cubic(4) - 3.0, 9) == pytest.approx((-3.0 * share, 3.0 * share))
+        assert marker.speed(cubic(4) - 3.0, lost) == pytest.approx((-3.0 * share, 3.0 * share))
 
 
 @pytest.mark.parametrize(

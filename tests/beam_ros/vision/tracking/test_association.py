@@ -1,4 +1,4 @@
-"""Spots beside a marker that move at constant speed, whose places are known in every frame."""
+"""Which spot is the marker: hypotheses alone, and in films of twins and covers."""
 
 from __future__ import annotations
 
@@ -7,161 +7,173 @@ import pytest
 
 from beam_ros.vision.rendering.disturbances import Disturbances, Occluder, SecondSpot
 from beam_ros.vision.rendering.frames import SceneRenderer
-from beam_ros.vision.tracking.rivals import (
-    Course,
-    Track,
-    associated,
+from beam_ros.vision.tracking.association import (
+    Belief,
+    Leap,
+    Possible,
+    Room,
+    SpotPath,
+    View,
     carried,
-    continued,
-    left_over,
-    may_be,
-    on_course,
-    present,
-    recent,
-    recognised,
-    swinging,
-    unseen,
+    moved_together,
 )
-from beam_ros.vision.tracking.spots import Spot
 from beam_ros.vision.tracking.tracker import MarkerTracker
 from tests.beam_ros.vision.packaged_rig import packaged_camera, packaged_tracker
 
-REACH = 10.0
+
+def view(frame, *columns, things=(), company=None, row_sd=0.1, **changes) -> View:
+    """Return what a frame of 640 columns says of a marker in row 50, whose neighbours rest, or say where it is."""
+    candidates = [
+        column if isinstance(column, Possible) else Possible(float(column), 50.0) for column in columns
+    ]
+    fields = {
+        "left": -np.inf,
+        "right": np.inf,
+        "width": 640.0,
+        "row": 50.0,
+        "row_sd": lambda _: row_sd,
+        "row_reach": 5.0,
+        "jump": lambda n: min(24.0 + 6.0 * (n - 1), 80.0),
+        "diameter": 12.0,
+        "stir": 0.0,
+        "company": lambda _: company,
+    }
+    return View(frame, candidates, list(things), **{**fields, **changes})
 
 
-def spot(u: float) -> Spot:
-    """Return a spot of which nothing but its column matters."""
-    return Spot(u, 50.0, 9e4, 450.0, 36.0, 36.0, 0.0, 0.0, 0.0, 200.0, (0, 0, 1, 1))
+def resting(u: float, n_frames: int = 20) -> SpotPath:
+    """Return the way of a marker that rested in frames 0 to n - 1."""
+    return SpotPath(tuple((k, u) for k in range(n_frames)), 50.0, 0.02, 0.02)
 
 
-def test_a_spot_seen_once_stands_still_and_one_seen_twice_goes_on_as_it_went():
-    tracks = continued([], [spot(100.0)], 7, REACH)
-    assert tracks == [Track(100.0, 0.0, 7)]
-    assert tracks[0].predicted(9) == 100.0
-    tracks = continued(tracks, [spot(106.0)], 10, REACH)
-    assert tracks == [Track(106.0, 2.0, 10)]  # 6 px in 3 frames
-    assert [tracks[0].predicted(frame) for frame in (10, 11, 15)] == [106.0, 108.0, 116.0]
+def odds(belief: Belief) -> float:
+    return sum(np.exp(own.weight) for own in belief.hypotheses)
 
 
-def test_tracks_that_cross_keep_their_ways():
-    # Between two frames they pass each other: nearer to each one's last place is the other.
-    right, left = Track(100.0, 8.0, 3), Track(110.0, -8.0, 3)
-    tracks, free = associated([right, left], [spot(102.5), spot(107.5)], 4, REACH)
-    assert [track.u for track in tracks] == [107.5, 102.5]
-    assert [track.velocity for track in tracks] == [7.5, -7.5]
-    assert free == []
+def test_a_spot_where_the_marker_should_be_is_the_marker_and_one_far_away_is_not():
+    for away, index in ((0.0, 0), (5.0, 0), (60.0, None), (-250.0, None)):
+        assert Belief().update(resting(300.0), view(20, 300.0 + away)) == index
 
 
-def test_a_spot_belongs_to_a_track_within_reach_and_to_none_beyond():
-    track = Track(100.0, 2.0, 3)
-    near, far = spot(102.0 - REACH), spot(102.0 - REACH - 1e-6)
-    assert associated([track], [near], 4, REACH) == ([Track(near.u, near.u - 100.0, 4)], [])
-    assert associated([track], [far], 4, REACH) == ([track], [far])
-    assert associated([track], [], 4, REACH) == ([track], [])
+def test_a_spot_is_believed_farther_away_the_longer_the_marker_was_lost():
+    reach = []
+    for lost in (1, 4, 12):
+        near = [
+            away
+            for away in range(0, 200, 2)
+            if Belief().update(resting(300.0), view(19 + lost, 300 + away)) == 0
+        ]
+        assert near == list(range(0, near[-1] + 2, 2))
+        reach.append(near[-1])
+    assert 10 < reach[0] < reach[1] < reach[2] <= 80
 
 
-def test_a_spot_looked_at_twice_in_one_frame_keeps_its_velocity():
-    tracks, free = associated([Track(100.0, 2.0, 4)], [spot(100.0)], 4, REACH)
-    assert tracks == [Track(100.0, 2.0, 4)]
-    assert free == []
+def test_two_spots_between_which_nothing_tells_are_neither_whatever_the_time():
+    belief = Belief()
+    belief.begin([SpotPath(((0, 300.0),), 50.0), SpotPath(((0, 340.0),), 50.0)])
+    for k in range(1, 200):
+        assert belief.update(None, view(k, 300.0, 340.0)) is None
+    # Nor does it tell anything that one of them is gone.
+    for k in range(200, 260):
+        assert belief.update(None, view(k, 340.0)) is None
+    assert odds(belief) == pytest.approx(1.0)
 
 
-def test_one_spot_continues_one_track():
-    tracks, free = associated([Track(100.0, 0.0, 3), Track(101.0, 0.0, 3)], [spot(100.6)], 4, REACH)
-    assert [track.frame for track in tracks] == [3, 4]  # the nearer one
-    assert free == []
+def test_the_weights_of_all_hypotheses_are_one_after_every_frame():
+    rng, belief = np.random.default_rng(5), Belief()
+    for k in range(20, 120):
+        spots = rng.uniform(200.0, 400.0, rng.integers(0, 5))
+        belief.update(resting(300.0) if k == 20 else None, view(k, *spots, things=rng.uniform(200, 400, 2)))
+        assert odds(belief) == pytest.approx(1.0, abs=1e-4)
+        assert len(belief.hypotheses) <= 16
 
 
-def test_a_rival_that_has_gone_while_the_marker_is_seen_is_remembered_and_predicted_for_ten_frames_only():
-    gone = Track(100.0, 1.0, 20)
-    assert continued([gone], [], 120, REACH) == [gone]
-    assert continued([gone], [], 121, REACH) == []
-    assert recent([gone], 30) == [gone]
-    assert recent([gone], 31) == []
+def test_order_of_the_candidates_and_the_place_in_the_picture_change_nothing():
+    found = []
+    for shift, is_reversed in ((0.0, False), (37.0, False), (0.0, True)):
+        belief, answers = Belief(), []
+        for k in range(20, 60):
+            spots = [300.0 + 8.0 * np.sin(0.3 * k) + shift, 330.0 + shift]
+            j = belief.update(
+                resting(300.0 + shift) if k == 20 else None, view(k, *spots[:: -1 if is_reversed else 1])
+            )
+            answers.append(1 - j if is_reversed and j is not None else j)
+        found.append(answers)
+    assert found[0] == found[1] == found[2]
+    assert found[0].count(0) > 30
 
 
-@pytest.mark.parametrize(("u", "is_kept"), [(5.0, False), (15.0, True), (185.0, True), (195.0, False)])
-def test_a_rival_last_seen_at_the_edge_of_what_is_looked_at_has_left(u, is_kept):
-    track = Track(u, 0.0, 3)
-    assert present([track], 4, 0.0, 200.0, REACH) == [track] * is_kept
-    assert present([track], 3, 0.0, 200.0, REACH) == [track]  # it is in this very frame
+def test_of_two_that_met_and_part_the_one_is_the_marker_that_is_where_the_others_say():
+    belief = Belief()
+    belief.join(resting(300.0), 0.9)
+    for k in range(20, 30):
+        assert belief.update(None, view(k, things=[300.0], company=(300.0 + 2.0 * (k - 20), 0.5))) is None
+    assert belief.update(None, view(30, 300.0, 322.0, company=(322.0, 0.5))) == 1
+    assert len(belief.others) == 1
 
 
-def test_a_rival_last_seen_inside_is_remembered_for_a_hundred_frames():
-    track = Track(100.0, 0.0, 3)
-    assert present([track], 103, 0.0, 200.0, REACH) == [track]
-    assert present([track], 104, 0.0, 200.0, REACH) == []
+def test_what_comes_out_alone_where_two_were_is_neither():
+    belief = Belief()
+    belief.join(resting(300.0), 0.9)
+    belief.update(None, view(20, things=[300.0]))
+    for k in range(21, 40):
+        belief.update(None, view(k))
+    for k in range(40, 60):
+        assert belief.update(None, view(k, 301.0)) is None
 
 
-@pytest.mark.parametrize("u", [5.0, 195.0])
-def test_a_rival_that_vanished_inside_stays_hidden_where_the_columns_looked_at_move_on_past_it(u):
-    track = Track(u, 0.0, 3)
-    assert present([track], 5, 0.0, 200.0, REACH) == [track]
+def test_a_spot_in_another_row_or_out_of_reach_of_the_beam_is_no_marker():
+    path = resting(300.0)
+    assert Belief().update(path, view(22, Possible(306.0, 50.0))) == 0
+    assert Belief().update(path, view(22, Possible(306.0, 51.5))) is None
+    assert Belief().update(path, view(22, Possible(306.0, 50.0), right=304.0)) is None
 
 
-def test_a_hidden_rival_is_continued_by_the_one_spot_that_only_it_can_be():
-    hidden, other, mine = Track(100.0, -4.0, 3), spot(95.0), spot(108.0)
-    assert unseen([hidden, Track(50.0, 0.0, 9)], 10) == [hidden]
-    assert recognised([hidden], [other, mine], [mine], 10, 7.0) == ([Track(95.0, 0.0, 10)], [mine])
-    # Both are in its reach, or the only one may be the marker: neither is known.
-    for spots in ([other, mine], [mine]):
-        tracks, free = recognised([hidden], spots, [mine], 10, 9.0)
-        assert (tracks, free) == ([hidden], spots)
-        assert may_be(tracks, mine, 10, 9.0)
-    assert not may_be([hidden], spot(110.0), 10, 9.0)
+def test_another_light_is_believed_of_a_spot_that_moves_as_the_others_say_and_not_of_one_at_rest():
+    for swing, is_believed in ((0.0, False), (9.0, True)):
+        belief, answers = Belief(), []
+        way = SpotPath(
+            tuple((k, 300.0 + swing * np.sin(0.2 * k)) for k in range(25)), 50.0, 0.2 * swing, 0.04 * swing
+        )
+        for k in range(25, 45):
+            u = 300.0 + swing * np.sin(0.2 * k)
+            j = belief.update(
+                way, view(k, Possible(u, 50.0, is_lit=False), company=(u, 0.05), stir=0.02 * swing)
+            )
+            answers.append(j is not None)
+        assert any(answers) == is_believed
+        assert answers == sorted(answers)
 
 
-def test_a_course_is_a_straight_way_known_less_well_the_longer_ago_and_the_more_it_scatters():
-    places = [(3, 10.0), (4, 12.1), (5, 13.9), (6, 16.0)]
-    assert Course.of(Track(16.0, 2.0, 6, tuple(places[1:3]))) is None  # three places
-    course = Course.of(Track(16.0, 2.0, 6, tuple(places[:3])))
-    slope, start = np.polyfit([0, 1, 2, 3], [u for _, u in places], 1)
-    assert course.predicted(16) == pytest.approx(start + 13 * slope)
-    scatter = float(np.std([u - start - slope * k for k, (_, u) in enumerate(places)]))
-    assert course.doubt(6) == pytest.approx(0.3 + 4 * scatter)
-    assert course.doubt(12) == pytest.approx(0.3 + 4 * scatter * 17)  # twice as long unseen as seen
+ROOM = Room(3, 213.0, 213.0, 8.0, 7.5, 1.7)
 
 
-def test_what_is_left_over_is_no_rival_only_where_every_rival_is_seen_where_it_was_bound_for():
-    courses = [Course(100.0, 0.0, 5, 5, 0.0), Course(150.0, -2.0, 5, 5, 0.0)]  # at 100 and 140 in frame 10
-    first, second, mine = spot(100.2), spot(139.9), spot(120.0)
-    assert left_over(courses, [first, mine, second], 10) == mine
-    assert left_over(courses, [first, mine], 10) is None  # one is hidden
-    assert left_over(courses, [first, mine, second, spot(200.0)], 10) is None  # who is the fourth?
-    assert left_over(courses, [spot(100.4), mine, second], 10) is None  # a rival is not where it should be
-    assert left_over(courses, [first, spot(140.8), second], 10) is None  # too near to a rival's way
-    assert left_over(courses, [first, mine, spot(160.0)], 10) is None
-    assert on_course([first, mine], 100.0, 0.3) == first
-    assert on_course([first, spot(100.8)], 100.0, 0.3) is None
+@pytest.mark.parametrize(
+    ("found", "seen", "is_believed"),
+    [
+        # All markers in rows that moved together, by the same step or farther the higher they are.
+        ({0: (40, 0), 1: (40, 0), 2: (45, 0)}, {}, True),
+        ({0: (40, 8), 1: (60, 8), 2: (85, 9)}, {}, True),
+        ({0: (40, 0), 1: (40, 12), 2: (40, -12)}, {}, False),
+        # Most markers; beside one that rests, the beam bends.
+        ({0: (40, 0), 1: (30, 0)}, {}, True),
+        ({1: (70, 0), 2: (110, 0)}, {0: (1, 0)}, True),
+        ({1: (110, 0), 2: (-70, 0)}, {0: (1, 0)}, False),
+        # One alone only in company of those that are seen where they have moved alike.
+        ({0: (40, 0)}, {}, False),
+        ({0: (40, 0)}, {1: (0, 0), 2: (0, 0)}, False),
+        ({0: (40, 0)}, {1: (35, 0)}, True),
+        ({0: (40, 15)}, {1: (35, 0)}, False),
+        ({}, {1: (35, 0)}, False),
+    ],
+)
+def test_what_is_believed_of_three_markers_in_one_leap(found, seen, is_believed):
+    moves = ({k: Leap(*move) for k, move in which.items()} for which in (found, seen))
+    assert moved_together(*moves, ROOM) == is_believed
 
 
-def swing(frame: int) -> float:
-    return 8.0 * np.sin(0.25 * frame)
-
-
-def track(way, last: int = 20, first: int = 0) -> Track:
-    """Return a track of a spot that was at way(frame) in the frames up to the last."""
-    return Track(way(last), 0.0, last, tuple((k, way(k)) for k in range(first, last)))
-
-
-COMPANY = [(k, 300.0 + 1.4 * swing(k)) for k in range(20)]
-
-
-def test_of_a_spot_that_moves_as_the_beam_and_one_that_does_not_the_first_is_on_the_beam():
-    mine = track(lambda k: 100.0 + swing(k))
-    for other in (track(lambda k: 160.0), track(lambda k: 160.0 + 1.5 * k)):
-        assert swinging([other, mine], [COMPANY], 20) is mine
-        assert (
-            swinging([mine, other, Track(50.0, 0.0, 15)], [COMPANY], 20) is mine
-        )  # one more, hidden long ago
-        assert swinging([mine, other], [COMPANY[:10]], 20) is None  # nobody shows what the beam does
-        assert swinging([mine, other], [[(k, -u) for k, u in COMPANY]], 20) is None  # the other way
-        assert swinging([mine], [COMPANY], 20) is None
-    rest = track(lambda k: 160.0)
-    assert swinging([track(lambda k: 100.0 + swing(k), first=9), rest], [COMPANY], 20) is None  # too short
-    assert swinging([mine, track(lambda k: 140.0 + swing(k))], [COMPANY], 20) is None  # both do
-    assert swinging([rest, track(lambda k: 100.0 + 2.0 * k)], [COMPANY], 20) is None  # none does
-    assert swinging([mine, track(lambda k: 101.0)], [COMPANY], 20) is None  # they may have been exchanged
+def test_a_single_marker_is_never_believed_to_have_leapt():
+    assert not moved_together({0: Leap(100.0, 0.0)}, {}, Room(1, 213.0, 213.0, 8.0, 7.5, 1.7))
 
 
 HEIGHTS = (0.010, 0.225, 0.285)
@@ -410,14 +422,14 @@ def test_the_others_tell_where_a_marker_is_and_how_well():
     tip = [
         (k, 100.0 + 1.5 * (a - 300.0) + 0.7 * (b - 200.0)) for (k, a), (_, b) in zip(low, middle, strict=True)
     ]
-    u, doubt = carried(tip, [(low, 310.0), (middle, 190.0)])
+    u, doubt = carried(tip, [(low, 310.0), (middle, 190.0)], 20)
     assert u == pytest.approx(100.0 + 15.0 - 7.0, abs=0.5)
-    assert abs(u - 108.0) < doubt < 8.0
+    assert abs(u - 108.0) < doubt < 3.0
     # Of a beam that rested nobody knows how it bends.
     still = [(k, 100.0) for k in frames]
-    u, doubt = carried(still, [(still, 140.0)])
-    assert doubt > 2.0 * 40.0
-    assert carried(still, [(still, 100.0)])[1] < 2.0
-    assert carried(still, [(still, 100.0), ([], 300.0)]) == carried(still, [(still, 100.0)])
-    assert carried(still[:3], [(still, 100.0)]) is None
-    assert carried(still, []) is None
+    u, doubt = carried(still, [(still, 140.0)], 20)
+    assert doubt > 2.0 * 40.0 / 3.0
+    assert carried(still, [(still, 100.0)], 20)[1] < 0.7
+    assert carried(still, [(still, 100.0), ([], 300.0)], 20) == carried(still, [(still, 100.0)], 20)
+    assert carried(still[:3], [(still, 100.0)], 20) is None
+    assert carried(still, [], 20) is None
