@@ -48,8 +48,9 @@ _KNOWN_FRAMES = 3
 """A marker that is lost before it was seen in so many frames is acquired anew: something may have touched it then."""
 _NOWHERE = (math.nan,) * 3
 """Place and standard deviation of what is not valid."""
-_TWO_IN_ONE, _JOINED = 1.1, 0.9
-"""What is so many times as large as the marker, and compact, is with this probability the marker and another spot."""
+_TWO_IN_ONE, _JOINED = 1.1, 0.05
+"""What is so many times as large as the marker, and compact, is with this probability the marker and another spot
+where none was seen beside it: light that changes, and things that touch it, are likelier."""
 _CHORES_EVERY_FRAMES = 8
 """Noise and levels are measured anew, and rivals looked for, once in so many frames."""
 
