@@ -257,8 +257,8 @@ def test_the_outcome_holds_what_was_estimated_and_the_page_shows_it(whole: Path)
     assert {own["unseen"] for own in outcome["validations"]} == {"V1"}
     assert all(own["scores"]["z225"]["fit_percent"] > 95.0 for own in outcome["validations"])
     # A page that was written before all is judged would say that the model was never tried.
-    for own in ("E1-1", "E1-2", "all"):
-        of_model = (whole / "estimates" / "modal" / own / "report.html").read_text(encoding="utf-8")
+    for own in ("modal/E1-1", "modal/E1-2", "both/all"):
+        of_model = (whole / "estimates" / own / "report.html").read_text(encoding="utf-8")
         assert "Prediction of unseen data" in of_model
         assert "On V1" in of_model
         assert "not tried on data" not in of_model

@@ -30,8 +30,10 @@ ONLY_OTHERWISE_READ = {
         if name.startswith(("axis.", "trajectory.", "odrive.", "dynamixel.", "csv."))
     ),
     *("emulator.controller_rate", "faults.request", "camera.clock_tolerance"),
+    *("live.share_of_core", "live.memory", "live.niceness"),
 }
-"""Parameters whose reading takes another camera source, excitation, axis link or beam than those of this test."""
+"""Parameters whose reading takes another camera source, excitation, axis link or beam than those of this test, or
+which the process of the estimate reads."""
 PLAYED = ("bag_player", "publishes")
 IN_THE_BAG = {"hub/measured", "beam/displacement", "excitation/info", "/diagnostics"}
 """A player publishes what is in its bag."""

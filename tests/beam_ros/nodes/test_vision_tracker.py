@@ -207,7 +207,7 @@ def test_a_marker_with_a_twin_is_nobody_until_the_twin_has_gone(scene) -> None:
     for _ in range(5):
         assert _is_seen(scene.answer("plain", scene.image(twin))) == [True, False, True]
     # One of two was never known to be the marker: what is left has to stay for a while.
-    later = [scene.answer("plain", scene.image(frame)) for _ in range(105)]
+    later = [scene.answer("plain", scene.image(frame)) for _ in range(220)]
     assert later[-1].positions == pytest.approx([0.0] * 3, abs=3e-5)
 
 

@@ -481,7 +481,6 @@ def test_a_greeting_that_is_answered_late_is_answered_all_the_same(driver, emula
         reports = rig.run(1.5)
         assert all(map(connected, reports)), told(rig)
         assert reports[-1].status.counters["connections"] == 1, told(rig)
-        assert rig.ask("home").success
     finally:
         server.close()
 
