@@ -35,9 +35,7 @@ from beam_ident.numerics.piecewise import Instants, PiecewisePolynomial
 from beam_ident.numerics.pole_response import PoleResponses, SampledResponses
 
 MAX_LATENCY_S = 0.2  # of a fit
-_MARGIN = (
-    1.25  # of the farthest latency: how far stamps may lie beyond the input's ends, half an exposure included
-)
+_MARGIN = 1.25  # of the farthest latency: how far stamps and exposures may lie beyond the input's ends
 _LATENCY_SHARE = 0.1  # of a record that is shorter than two seconds: no latency is looked for beyond
 
 _MIN_SAMPLES = 20

@@ -231,7 +231,7 @@ def refitted(reached: Reached, records: Sequence[TimeRecord], clock_rate: Prior 
     names = list(dict.fromkeys(name for one in records for name in one.output_names))
     present = [
         own if before is None else own.from_instant(before.start_ns)
-        for own, before in zip(records, [*known, *[None] * len(records)], strict=False)
+        for own, before in itertools.zip_longest(records, known)
     ]
     prepared, _ = _prepared(present, end.conditions.terms, names, asked.input_names)
     conditions = replace(

@@ -1,7 +1,7 @@
 """A board that prints lines and takes no orders: the hub is measured, and somebody else moves it.
 
-Where the board prints a clock, its readings are mapped to the host's clock by the times at
-which they came; without one, a line's stamp is the time at which it came, with all its jitter.
+Where the board prints a clock, its readings are mapped to the host's clock by the times at which they came; without
+one, a line's stamp is the time at which it came, with all its jitter.
 """
 
 from __future__ import annotations

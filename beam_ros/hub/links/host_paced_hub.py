@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from abc import ABC, abstractmethod
 
 from beam_ros.hub.contract import HostTime, HubCapabilities, HubReport, Outcome, RequestKind, SequenceChunk
 from beam_ros.hub.links.host_axis import HostAxis
@@ -12,7 +13,7 @@ CLOSE_NS = 1_000_000_000
 """Longest wait for the axis to rest on closing [ns]."""
 
 
-class HostPacedHub:
+class HostPacedHub(ABC):
     """A hub that the host leads; implements ``Hub``.
 
     A link derives its own from it, and leads the axis in ``turn``, under ``lock``: in a thread of its own, or in the
@@ -79,10 +80,11 @@ class HostPacedHub:
         if self._thread.is_alive():
             self._thread.join(timeout=2.0)
 
+    @abstractmethod
     def turn(self) -> None:
-        """Do what is due, and wait for what is due next; the links say how."""
-        raise NotImplementedError
+        """Do what is due, and wait for what is due next."""
 
+    @abstractmethod
     def _let_go(self) -> None:
         """Let go of the controller behind the last turn."""
 

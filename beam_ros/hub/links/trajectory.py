@@ -310,6 +310,9 @@ class TrajectoryHub(HostPacedHub):
             self._send(knots)
         self.steady.wait(TURN_S)
 
+    def _let_go(self) -> None:
+        """Leave the joint to the controller, which goes on holding it."""
+
     def _news(self, now_ns: int) -> Knots | None:
         """Return a trajectory that is to be published."""
         axis = self.axis
