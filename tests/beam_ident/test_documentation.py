@@ -1,27 +1,14 @@
 from __future__ import annotations
 
-import re
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-DOCS = Path(__file__).resolve().parents[2] / "docs"
-
-
-def run_page(name: str) -> dict[str, object]:
-    page = DOCS / name
-    blocks = re.findall(r"```python\n(.*?)```", page.read_text(encoding="utf-8"), flags=re.DOTALL)
-    assert blocks
-    namespace: dict[str, object] = {}
-    for block in blocks:
-        exec(compile(block, str(page), "exec"), namespace)
-    return namespace
+from tests.pages import run_page
 
 
 @pytest.mark.slow
 def test_the_page_on_transfer_functions_runs_from_top_to_bottom(capsys: pytest.CaptureFixture[str]) -> None:
-    run_page("transfer-functions.md")
+    run_page("transfer-functions.md", 3)
     printed = capsys.readouterr().out
     assert "b0 = " in printed
     assert "ms" in printed
@@ -42,7 +29,7 @@ def test_the_page_on_results_finds_its_mode_by_name(capsys: pytest.CaptureFixtur
 
 @pytest.mark.slow
 def test_the_page_on_identification_runs_from_top_to_bottom(capsys: pytest.CaptureFixture[str]) -> None:
-    namespace = run_page("identification.md")
+    namespace = run_page("identification.md", 3)
     printed = capsys.readouterr().out
     assert "peak travel" in printed
     assert "4.4" in printed
@@ -56,7 +43,7 @@ def test_the_page_on_identification_runs_from_top_to_bottom(capsys: pytest.Captu
 def test_the_page_on_live_identification_runs_and_ends_before_the_record_does(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    namespace = run_page("live.md")
+    namespace = run_page("live.md", 3)
     printed = capsys.readouterr().out
     assert "known after" in printed
     assert float(printed.split()[-2]) == pytest.approx(4.4, rel=1e-3)

@@ -1,21 +1,8 @@
 from __future__ import annotations
 
-import re
-from pathlib import Path
-
 import pytest
 
-DOCS = Path(__file__).resolve().parents[2] / "docs"
-
-
-def run_page(name: str) -> dict[str, object]:
-    page = DOCS / name
-    blocks = re.findall(r"```python\n(.*?)```", page.read_text(encoding="utf-8"), flags=re.DOTALL)
-    assert blocks
-    namespace: dict[str, object] = {}
-    for block in blocks:
-        exec(compile(block, str(page), "exec"), namespace)
-    return namespace
+from tests.pages import run_page
 
 
 def test_the_page_on_the_frequency_domain_runs_from_top_to_bottom(capsys: pytest.CaptureFixture[str]) -> None:

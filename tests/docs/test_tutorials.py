@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.pages import run_page
 from tests.real_processes import Executables, RunningExecutable
 
 PAGES = Path(__file__).parents[2] / "docs" / "tutorials"
@@ -28,10 +29,8 @@ def blocks(page: str, kind: str) -> list[str]:
 
 def run_code(page: str) -> str:
     """Run the Python of a page from top to bottom, and return what it prints."""
-    names: dict[str, object] = {}
     with contextlib.redirect_stdout(io.StringIO()) as printed:
-        for block in blocks(page, "python"):
-            exec(compile(block, page, "exec"), names)
+        run_page(f"tutorials/{page}.md")
     return printed.getvalue()
 
 

@@ -9,17 +9,14 @@ import pytest
 
 import beam_ident
 from beam_ident.excitation import RECIPES
+from tests.pages import run_page
 
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "excitation.md"
 
 
 @pytest.mark.slow
 def test_the_code_of_the_page_runs_from_top_to_bottom(capsys: pytest.CaptureFixture[str]) -> None:
-    blocks = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), flags=re.DOTALL)
-    assert len(blocks) >= 5
-    namespace: dict[str, object] = {}
-    for block in blocks:
-        exec(compile(block, str(PAGE), "exec"), namespace)
+    run_page(PAGE.name, 6)
     printed = capsys.readouterr().out
     assert "peak travel" in printed
     crest_factors = [
@@ -33,10 +30,7 @@ def test_the_code_of_the_page_runs_from_top_to_bottom(capsys: pytest.CaptureFixt
 
 @pytest.mark.slow
 def test_the_code_of_the_page_on_the_best_excitation_runs(capsys: pytest.CaptureFixture[str]) -> None:
-    page = PAGE.with_name("best-excitation.md")
-    namespace: dict[str, object] = {}
-    for block in re.findall(r"```python\n(.*?)```", page.read_text(encoding="utf-8"), flags=re.DOTALL):
-        exec(compile(block, str(page), "exec"), namespace)
+    run_page("best-excitation.md")
     assert "D-optimal" in capsys.readouterr().out
 
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 import pytest
+
+from tests.pages import run_page
 
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "quiet-moves.md"
 
@@ -13,9 +14,7 @@ PAGE = Path(__file__).resolve().parents[3] / "docs" / "quiet-moves.md"
 @pytest.mark.slow
 def test_the_code_of_the_page_prints_what_the_page_says(capsys: pytest.CaptureFixture[str]) -> None:
     text = PAGE.read_text(encoding="utf-8")
-    namespace: dict[str, object] = {}
-    for block in re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL):
-        exec(compile(block, str(PAGE), "exec"), namespace)
+    run_page(PAGE.name)
     printed = capsys.readouterr().out
     assert "time-optimal: 0." in printed
     assert printed.count("dampable") == 2
