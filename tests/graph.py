@@ -11,6 +11,7 @@ import rclpy
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
+from beam_ros.hub.contract import ASK_AGAIN
 from beam_ros.interfaces import graph
 from beam_ros.interfaces.graph import QualityOfService
 from beam_ros.messages import RosTypes
@@ -27,6 +28,7 @@ class Graph:
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
         self.node = Node(name)
         self.types = RosTypes()
+        self._clients: dict[str, Any] = {}
 
     def publisher(self, topic: str, qos: QualityOfService | None = None, namespace: str = "") -> Any:
         """Make the publisher of a topic of the table."""
@@ -58,19 +60,37 @@ class Graph:
             rclpy.spin_once(self.node, timeout_sec=0.02)
 
     def request(self, service: str, namespace: str = "", *, data: bool | None = None) -> Any:
-        """Ask a Trigger of the table, or a SetBool with its data; returns the future of its answer."""
+        """Ask a Trigger of the table, or a SetBool with its data; returns the future of its answer.
+
+        Clients are kept: a process that is stopped could not get to know another one.
+        """
+        name = f"{namespace}/{service}" if namespace else service
         service_class = self.types.service_class(graph.SERVICES[service].type_name)
-        client = self.node.create_client(service_class, f"{namespace}/{service}" if namespace else service)
+        if name not in self._clients:
+            self._clients[name] = self.node.create_client(service_class, name)
+        client = self._clients[name]
         self.wait(client.service_is_ready, f"service {service}")
-        future = client.call_async(service_class.Request(**({} if data is None else {"data": data})))
-        future.add_done_callback(lambda _: self.node.destroy_client(client))
-        return future
+        return client.call_async(service_class.Request(**({} if data is None else {"data": data})))
 
     def call(self, service: str, namespace: str = "", *, data: bool | None = None) -> Any:
-        """Call a Trigger of the table, or a SetBool with its data."""
-        future = self.request(service, namespace, data=data)
-        self.wait(future.done, f"an answer of {service}")
-        return future.result()
+        """Ask and return the answer; where a hub that was frozen says so, ask again, as any client does."""
+        end = time.monotonic() + HANG_S
+        while True:
+            future = self.request(service, namespace, data=data)
+            self.wait(future.done, f"an answer of {service}")
+            answer = future.result()
+            if not answer.message.endswith(ASK_AGAIN) or time.monotonic() > end:
+                return answer
+
+    def ask(self, service: str, namespace: str = "", *, data: bool | None = None) -> None:
+        """Ask for what must succeed."""
+        answer = self.call(service, namespace, data=data)
+        assert answer.success, answer.message
+
+    def switch_on(self, namespace: str = "") -> None:
+        """Home the axis and enable it."""
+        self.ask("hub/home", namespace)
+        self.ask("hub/enable", namespace, data=True)
 
     def __enter__(self) -> Graph:
         return self

@@ -135,7 +135,7 @@ TESTED_IN = (
     ("beam_ros/hub/simulated", "beam_points", "rig/test_filming"),
     ("beam_ros/hub/simulated", "motion encoder limits sequence_buffer", "hub/simulated/test_axis"),
     ("beam_ros/interfaces", "parameter", "interfaces/test_rig_parameters"),
-    ("beam_ros/launching", "client processes", "launching/test_demo"),
+    ("beam_ros/launching", "processes", "launching/test_demo"),
     (
         "beam_ros/messages",
         "batches camera clocks commands health joint_states markers message_types stamps texts trajectories",

@@ -26,6 +26,8 @@ EventLevel = Literal["info", "warning", "error"]
 REQUEST_KINDS: tuple[RequestKind, ...] = ("enable", "disable", "home", "stop", "clear_fault")
 AXIS_STATES: tuple[AxisState, ...] = ("disconnected", "identified", "homed", "enabled", "fault")
 ACTIVITIES: tuple[Activity, ...] = get_args(Activity)
+ASK_AGAIN = "ask again"
+"""How a refusal ends for which a freeze of the process is the only reason: who still waits may ask anew."""
 MAX_CHUNK_POINTS = 500
 """Of a chunk of a sequence."""
 

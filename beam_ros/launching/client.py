@@ -15,6 +15,7 @@ from rclpy.signals import SignalHandlerOptions
 
 from beam_ros import messages
 from beam_ros.errors import RigUnavailableError
+from beam_ros.hub.contract import ASK_AGAIN
 from beam_ros.hub.parameters import LinkParameters
 from beam_ros.interfaces import graph
 from beam_ros.messages import RosTypes
@@ -168,6 +169,9 @@ class RigClient:
     def call(self, service: str, *, value: bool | None = None, timeout_s: float = 15.0) -> str:
         """Call a service of the table and return its message.
 
+        A hub that was frozen refuses what was asked meanwhile, since nobody may want it any more. Who calls here
+        still waits for it, and asks again.
+
         Parameters
         ----------
         service : str -- key of ``beam_ros.interfaces.graph.SERVICES``
@@ -187,9 +191,13 @@ class RigClient:
             request = service_class.Request()
             if value is not None:
                 request.data = value
-            future = client.call_async(request)
-            self.wait(future.done, timeout_s, f"service {service} did not answer", log_hint)
-            response = future.result()
+            end = time.monotonic() + timeout_s
+            while True:
+                future = client.call_async(request)
+                self.wait(future.done, timeout_s, f"service {service} did not answer", log_hint)
+                response = future.result()
+                if response.success or not response.message.endswith(ASK_AGAIN) or time.monotonic() > end:
+                    break
         finally:
             self._node.destroy_client(client)
         if not response.success:

@@ -10,6 +10,8 @@ not quite ours are covered by a moment after the gap, in which nothing that move
 
 from __future__ import annotations
 
+from beam_ros.hub.contract import ASK_AGAIN
+
 BEAT_NS = 50_000_000
 """The executor comes round at least so often while nothing keeps it [ns]."""
 WAKING_NS = 500_000_000
@@ -55,4 +57,4 @@ class FreezeWatch:
             is_old = now_ns - sent_ns > self._frozen_ns
         else:
             is_old = now_ns - self._woke_ns <= min(WAKING_NS, self._gap_ns - self._frozen_ns)
-        return f"was frozen for {self._gap_ns * 1e-9:.2f} s; ask again" if is_old else None
+        return f"was frozen for {self._gap_ns * 1e-9:.2f} s; {ASK_AGAIN}" if is_old else None

@@ -14,7 +14,6 @@ import pytest
 
 from beam_ros import messages
 from beam_ros.bags.batches import decode_batch
-from beam_ros.interfaces.graph import SERVICES
 from beam_ros.messages import Displacement, Health, StampedSetpoint
 from beam_ros.process.environment import child_environment
 from beam_ros.process.executables import command
@@ -91,21 +90,6 @@ def test_a_kind_that_nobody_adds_is_answered_with_all_there_are_and_the_nearest(
     assert "expected one of topic, device, file, compressed, toy; did you mean 'toy'?" in running.output()
 
 
-def _call(graph: Graph, service: str) -> str:
-    """Call a service of the hub and return its answer, which must be a success."""
-    service_class = graph.types.service_class(SERVICES[service].type_name)
-    client = graph.node.create_client(service_class, service)
-    graph.wait(client.service_is_ready, service, 40.0)
-    request = service_class.Request()
-    if service == "hub/enable":
-        request.data = True
-    future = client.call_async(request)
-    graph.wait(future.done, f"an answer of {service}")
-    graph.node.destroy_client(client)
-    assert future.result().success
-    return str(future.result().message)
-
-
 def test_the_driver_moves_an_axis_whose_link_a_package_adds(
     laboratory: Laboratory, executables: Executables
 ) -> None:
@@ -118,8 +102,8 @@ def test_the_driver_moves_an_axis_whose_link_a_package_adds(
         setpoints = graph.publisher("hub/setpoint")
         executables.start("hub_driver", "--ros-args", *options, program=laboratory("hub_driver"))
         graph.wait(lambda: bool(measured), "a measurement", 40.0)
-        for kind in ("home", "enable"):
-            assert _call(graph, f"hub/{kind}") == f"the toy did {kind}"
+        for kind, data in (("home", None), ("enable", True)):
+            assert graph.call(f"hub/{kind}", data=data).message == f"the toy did {kind}"
         point = StampedSetpoint(graph.node.get_clock().now().nanoseconds, "position", 0.012)
         setpoints.publish(messages.setpoint(graph.types, point))
         graph.wait(

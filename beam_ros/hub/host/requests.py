@@ -6,7 +6,7 @@ from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 
 from beam_ros.hub.answers import Answers
-from beam_ros.hub.contract import REQUEST_KINDS, Outcome, RequestKind
+from beam_ros.hub.contract import ASK_AGAIN, REQUEST_KINDS, Outcome, RequestKind
 from beam_ros.hub.gate.stamps import MAX_AGE_NS
 from beam_ros.hub.parameters import AxisParameters
 
@@ -165,7 +165,7 @@ class Requests:
         for number, pending in list(self._pending.items()):
             if pending.first_sent_ns is None and pending.kind not in STOPS:
                 del self._pending[number]
-                message = f"{pending.kind} refused: the hub's process was frozen; ask again"
+                message = f"{pending.kind} refused: the hub's process was frozen; {ASK_AGAIN}"
                 self._complete(pending, Outcome(False, message))
 
     def fail_all(self, reason: str) -> None:

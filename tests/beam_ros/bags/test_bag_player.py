@@ -191,17 +191,21 @@ def test_a_tracker_on_replayed_images_finds_the_displacements_that_it_found_live
     player = executables.start(
         "bag_player",
         "--ros-args",
-        *("-p", f"player.bag:={bag}", "-p", "player.rate:=0.5"),
+        *("-p", f"player.bag:={bag}", "-p", "player.rate:=0.5", "-p", "player.paused:=true"),
         *(word for pair in renamed for word in ("-r", pair)),
         timeout_s=120.0,
     )
+    # A tracker subscribes once it sees a camera.
+    graph.wait(lambda: graph.node.count_subscribers("camera/image_raw") > 0, "a tracker that looks")
+    player.wait_for("playing")
+    graph.ask("player/pause", data=False)
     graph.wait(lambda: player.process.poll() is not None, "the end of the replay", 90.0)
     graph.spin(0.5)
     tracker.send_signal(signal.SIGINT)
     assert tracker.wait() == 0
     found = {item.stamp_ns: item for item in again}
     both = [k for k, stamp in enumerate(live.stamps_ns.tolist()) if stamp in found]
-    assert len(both) > 100
+    assert len(both) > 100, (len(again), player.output(), tracker.output())
     columns = [live.names.index(name) for name in again[0].names]
     replayed = np.array([found[int(live.stamps_ns[k])].positions for k in both])
     off = np.abs(replayed - live.positions[both][:, columns])

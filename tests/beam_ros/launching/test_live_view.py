@@ -65,8 +65,8 @@ def test_stop_on_the_page_brings_a_moving_axis_to_rest_and_shows_what_it_did(
     link = link_of(view)
     measured: list[Any] = []
     graph.listen("hub/measured", lambda data: measured.append(decode_batch(bytes(data))), raw=True)
-    for service, data in (("hub/home", None), ("hub/enable", True), ("excitation/start", None)):
-        assert graph.call(service, data=data).success
+    graph.switch_on()
+    assert graph.call("excitation/start").success
     graph.wait(lambda: any(np.abs(batch.velocities).max() > 0.01 for batch in measured), "motion")
 
     async def conversation(stream: Any) -> dict[str, Any]:

@@ -57,18 +57,7 @@ class _Seen:
 
     def ready(self) -> None:
         self.graph.wait(lambda: bool(self.modes) and self.modes[-1]["state"] == "identified", "a hub", 40.0)
-        assert self.graph.call("hub/home").success
-        assert self.enable().success
-
-    def enable(self):
-        service = self.graph.types.service_class("std_srvs/srv/SetBool")
-        client = self.graph.node.create_client(service, "hub/enable")
-        self.graph.wait(client.service_is_ready, "hub/enable")
-        request = service.Request()
-        request.data = True
-        future = client.call_async(request)
-        self.graph.wait(future.done, "an answer")
-        return future.result()
+        self.graph.switch_on()
 
     def run(self, values: np.ndarray, period_ns: int = 1_000_000) -> int:
         start_ns = self.graph.node.get_clock().now().nanoseconds + 1_000_000_000
@@ -153,7 +142,7 @@ def test_a_controller_whose_settings_cannot_do_it_is_refused_until_they_are_mend
         executables.start("hub_driver", *_words(*CONTROLLER, *ACCEPTED))
         graph.wait(lambda: "allow_partial" in (modes[-1]["reason"] if modes else ""), "a refusal", 30.0)
         assert (modes[-1]["state"], modes[-1]["fault"]["name"]) == ("disconnected", "wrong_axis")
-        assert not seen.enable().success
+        assert not seen.graph.call("hub/enable", data=True).success
         controller.set_parameters([rclpy.parameter.Parameter(partial.name, value=True)])
         graph.wait(lambda: modes[-1]["state"] == "identified", "a connection", 20.0)
     finally:
@@ -228,7 +217,7 @@ def test_a_board_that_prints_lines_measures_and_refuses(executables, graph, seen
     graph.wait(lambda: len(seen.measured) > 400, "measured lines", 40.0)
     _, path = seen.path()
     assert 0.001 < np.ptp(path) < 0.005
-    answer = seen.enable()
+    answer = seen.graph.call("hub/enable", data=True)
     assert not answer.success
     assert "it takes no commands" in answer.message
     now_ns = graph.node.get_clock().now().nanoseconds

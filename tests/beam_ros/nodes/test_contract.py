@@ -118,8 +118,7 @@ def test_the_same_experiment_gives_the_same_applied_samples_and_states(rigs) -> 
         outputs[rig] = rigs.node.create_publisher(
             trajectory, f"/{rig}/hub/sequence", qos_profile(TOPICS["hub/sequence"].qos)
         )
-        for service in ("home", "enable"):
-            _call(rigs, f"/{rig}/hub/{service}", "SetBool" if service == "enable" else "Trigger", True)
+        rigs.switch_on(f"/{rig}")
     values = 0.5 * np.sin(2 * np.pi * 5 * np.arange(600) * 1e-3) * np.hanning(600)
     values[-1] = 0.0
     values -= np.hanning(600) * values.sum() / np.hanning(600).sum()
@@ -163,8 +162,7 @@ def test_a_clock_that_jumps_is_an_error_everywhere_and_the_state_is_published_no
         lambda m: levels.extend(s for s in messages.read_diagnostics(m) if s.name.endswith("hub_driver")),
     )
     _wait_for_clock(rigs)
-    for service in ("home", "enable"):
-        _call(rigs, f"/b/hub/{service}", "SetBool" if service == "enable" else "Trigger", True)
+    rigs.switch_on("/b")
     rigs.wait(lambda: modes and modes[-1]["state"] == "enabled" and states, "the enabled hub")
     set_class = rigs.types.service_class("rcl_interfaces/srv/SetParameters")
     parameter = rigs.types.message_class("rcl_interfaces/msg/Parameter")(name="faults.request")
@@ -182,22 +180,9 @@ def test_a_clock_that_jumps_is_an_error_everywhere_and_the_state_is_published_no
     assert levels[-1].message.startswith("fault: ")
     rigs.spin(0.5)
     assert len(states) <= n_states + 1
-    _call(rigs, "/b/hub/clear_fault", "Trigger", True)
+    rigs.ask("hub/clear_fault", "/b")
     rigs.wait(lambda: modes[-1]["state"] == "identified", "the end of the fault")
     rigs.wait(lambda: len(states) > n_states + 5, "the state's return")
-
-
-def _call(graph, service, kind, value):
-    service_class = graph.types.service_class(f"std_srvs/srv/{kind}")
-    client = graph.node.create_client(service_class, service)
-    graph.wait(client.service_is_ready, service)
-    request = service_class.Request()
-    if kind == "SetBool":
-        request.data = value
-    future = client.call_async(request)
-    graph.wait(future.done, f"answer of {service}", 15.0)
-    graph.node.destroy_client(client)
-    assert future.result().success, future.result().message
 
 
 def _wait_for_clock(graph) -> None:

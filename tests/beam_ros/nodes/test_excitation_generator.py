@@ -67,19 +67,6 @@ QUICK = (
 )
 
 
-def _answer(graph, service: str):
-    service_class = graph.types.service_class(SERVICES[service].type_name)
-    client = graph.node.create_client(service_class, service)
-    graph.wait(client.service_is_ready, service, 20.0)
-    request = service_class.Request()
-    if service == "hub/enable":
-        request.data = True
-    future = client.call_async(request)
-    graph.wait(future.done, f"an answer of {service}", 30.0)
-    graph.node.destroy_client(client)
-    return future.result()
-
-
 def test_a_hub_that_is_killed_under_a_sequence_is_missed_and_another_one_takes_the_next(
     executables, graph
 ) -> None:
@@ -97,12 +84,10 @@ def test_a_hub_that_is_killed_under_a_sequence_is_missed_and_another_one_takes_t
     def start() -> None:
         spoken.clear()
         graph.wait(lambda: bool(spoken), "a hub that speaks", 20.0)
-        for service in ("hub/home", "hub/enable"):
-            answer = _answer(graph, service)
-            assert answer.success, answer.message
+        graph.switch_on()
         # The generator may discover the new hub some seconds after this process did.
         for _ in range(20):
-            answer = _answer(graph, "excitation/start")
+            answer = graph.call("excitation/start")
             if answer.success or "silent" not in answer.message:
                 break
             graph.spin(1.0)
@@ -115,7 +100,7 @@ def test_a_hub_that_is_killed_under_a_sequence_is_missed_and_another_one_takes_t
     hub.wait()
     sentences.clear()
     graph.wait(lambda: any(": lost: " in s for s in sentences), "the loss in the diagnostics")
-    refusal = _answer(graph, "excitation/start")
+    refusal = graph.call("excitation/start")
     assert not refusal.success
     assert "hub has been silent" in refusal.message or "nobody listens" in refusal.message
     executables.start("simulator", "--ros-args", "-p", "simulation.images:=false")
@@ -133,8 +118,7 @@ def test_a_long_sequence_is_handed_over_and_starts(executables, graph, minutes: 
     executables.start("excitation_generator", "--ros-args", *long, timeout_s=150.0)
     executables.start("simulator", "--ros-args", "-p", "simulation.images:=false", timeout_s=150.0)
     graph.wait(lambda: bool(spoken), "a hub that speaks", 20.0)
-    for service in ("hub/home", "hub/enable"):
-        assert _answer(graph, service).success
+    graph.switch_on()
     future = graph.request("excitation/start")
     graph.wait(lambda: bool(states) and states[-1]["state"] != "loading", "a verdict", 60.0)
     assert states[-1]["state"] == "ready", states[-1]

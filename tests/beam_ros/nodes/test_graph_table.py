@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from beam_ros.interfaces.graph import NODES, SERVICES, SET_BOOL, TOPICS
+from beam_ros.interfaces.graph import NODES, SERVICES, TOPICS
 from beam_ros.shell.node import qos_profile
 from tests.beam_ros.bags.small_bags import write_experiment
 
@@ -152,10 +152,7 @@ def test_every_node_is_on_the_graph_as_its_row_says_and_reads_what_it_declares(
             if (name, kind) != PLAYED:
                 assert seen == set(getattr(row, kind)), (name, kind)
     assert runs.seen["bag_player"]["publishes"] <= set(NODES["bag_player"].publishes)
-    client = graph.node.create_client(graph.types.service_class(SET_BOOL), "/a/hub/enable")
-    graph.call("hub/home", "/a")
-    enabled = client.call_async(client.srv_type.Request(data=True))
-    graph.wait(enabled.done, "an enabled hub")
+    graph.switch_on("/a")
     answers: list[object] = []
     graph.listen("identification/result", answers.append, namespace="/a")
     for service in (

@@ -13,7 +13,6 @@ import signal
 import sys
 import time
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -25,7 +24,6 @@ from beam_ros.excitation.plan import plan_excitation
 from beam_ros.hub.emulated.controller import EmulatedController
 from beam_ros.hub.emulated.injected_faults import read_schedule
 from beam_ros.hub.simulated.plant import RigidPlant
-from beam_ros.interfaces.graph import SERVICES
 from beam_ros.rig.rig import Rig
 from benchmarks.axis_safety import LIES
 
@@ -60,7 +58,6 @@ class Scene:
         self.graph = graph
         self.modes: list[dict[str, object]] = []
         self.is_publishing = self.is_swinging = False
-        self._clients: dict[str, Any] = {}
         graph.listen("hub/mode", lambda message: self.modes.append(messages.read_json(message)))
         self._publisher = graph.publisher("hub/setpoint")
         graph.node.create_timer(0.03, self._publish)
@@ -82,27 +79,10 @@ class Scene:
     def state(self) -> object:
         return self.modes[-1]["state"] if self.modes else None
 
-    def request(self, service: str):
-        """Ask for a service; return the future of its answer."""
-        kind = self.graph.types.service_class(SERVICES[service].type_name)
-        if service not in self._clients:
-            # Kept: a process that is stopped could not get to know another one.
-            self._clients[service] = self.graph.node.create_client(kind, service)
-        client = self._clients[service]
-        self.graph.wait(client.service_is_ready, service, 20.0)
-        return client.call_async(kind.Request(data=True) if service == "hub/enable" else kind.Request())
-
-    def ask(self, service: str) -> None:
-        """Ask for a service that must succeed."""
-        future = self.request(service)
-        self.graph.wait(future.done, f"an answer of {service}", 15.0)
-        assert future.result().success, future.result().message
-
     def move(self) -> None:
         """Home, enable, and lead the hub away from home."""
         self.graph.wait(lambda: self.state == "identified", "a connection", 30.0)
-        self.ask("hub/home")
-        self.ask("hub/enable")
+        self.graph.switch_on()
         self.is_publishing = True
         self.graph.wait(lambda: abs(self.controller.axis.velocity - SPEED) < 1e-4, "movement")
         self.graph.spin(0.3)
@@ -187,9 +167,8 @@ def test_after_an_accident_the_hub_rests_within_watchdog_and_ramp_and_stays_ther
     scene.graph.wait(lambda: scene.state in ("homed", "identified", "fault"), "the driver back")
     scene.stays_at_rest()
     if scene.state == "fault":
-        scene.ask("hub/clear_fault")
-    scene.ask("hub/home")
-    scene.ask("hub/enable")
+        scene.graph.ask("hub/clear_fault")
+    scene.graph.switch_on()
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -205,7 +184,7 @@ def test_a_device_that_lies_is_found_out_by_name_and_left_by_the_way_that_is_sai
         # A slow drift shows on a hub that is held.
         scene.is_publishing = False
         scene.graph.wait(lambda: scene.state == "homed", "the end of the set-points")
-        scene.ask("hub/enable")
+        scene.graph.ask("hub/enable", data=True)
     injected = lie.drawn(rng, scene.controller.elapsed)
     if lie.kind == "missed_ticks":
         # A slower loss hides for a minute behind the round trips of a busy computer.
@@ -213,9 +192,8 @@ def test_a_device_that_lies_is_found_out_by_name_and_left_by_the_way_that_is_sai
     scene.controller.bring_about([injected])
     if lie.kind == "ignored_stop":
         scene.graph.spin(0.2)
-        answer = scene.request("hub/stop")
-        scene.graph.wait(answer.done, "an answer of hub/stop", 15.0)
-        assert not answer.result().success, answer.result().message
+        answer = scene.graph.call("hub/stop")
+        assert not answer.success, answer.message
     scene.graph.wait(lambda: scene.modes[-1]["fault"] is not None, "a fault", 60.0)
     scene.is_publishing = False
     assert scene.modes[-1]["fault"]["name"] in lie.names
@@ -229,14 +207,11 @@ def test_a_device_that_lies_is_found_out_by_name_and_left_by_the_way_that_is_sai
     )
     for _ in range(30):
         # The driver comes back, proves the watchdog, and sees that the cause is gone.
-        answer = scene.request("hub/clear_fault")
-        scene.graph.wait(answer.done, "an answer of hub/clear_fault", 15.0)
-        if answer.result().success:
+        if scene.graph.call("hub/clear_fault").success:
             break
         scene.graph.spin(1.0)
     scene.graph.wait(lambda: scene.state == "identified", "the driver back", 20.0)
-    for service in ("hub/home", "hub/enable"):
-        scene.ask(service)
+    scene.graph.switch_on()
 
 
 def test_a_reset_of_the_controller_leaves_the_hub_where_it_is(scene: Scene) -> None:
@@ -257,7 +232,10 @@ def test_a_process_stopped_for_3_s_leaves_the_hub_at_rest_and_nothing_asked_mean
     scene.driver.send_signal(signal.SIGSTOP)
     try:
         scene.graph.spin(0.5)
-        asked = {name: scene.request(name) for name in ("hub/enable", "hub/home")}
+        asked = {
+            "enable": scene.graph.request("hub/enable", data=True),
+            "home": scene.graph.request("hub/home"),
+        }
         scene.graph.spin(1.5)
         rest_s = scene.rest_s(begin_ns)
         scene.graph.spin(3.0 - (time.time_ns() - begin_ns) * 1e-9)
@@ -273,7 +251,7 @@ def test_a_process_stopped_for_3_s_leaves_the_hub_at_rest_and_nothing_asked_mean
         assert not future.result().success, name
         assert "was frozen for 3." in future.result().message
     scene.graph.wait(lambda: scene.state in ("homed", "identified"), "the hub's own word")
-    scene.ask("hub/enable")
+    scene.graph.ask("hub/enable", data=True)
 
 
 def test_60_s_at_1_khz_are_applied_sample_for_sample_with_every_core_loaded(
@@ -296,13 +274,7 @@ def test_60_s_at_1_khz_are_applied_sample_for_sample_with_every_core_loaded(
     modes: list[dict[str, object]] = []
     graph.listen("hub/mode", lambda message: modes.append(messages.read_json(message)))
     graph.wait(lambda: bool(modes) and modes[-1]["state"] == "identified", "a connection", 30.0)
-    for service in ("hub/home", "hub/enable"):
-        kind = graph.types.service_class(SERVICES[service].type_name)
-        client = graph.node.create_client(kind, service)
-        graph.wait(client.service_is_ready, service, 30.0)
-        future = client.call_async(kind.Request(data=True) if service == "hub/enable" else kind.Request())
-        graph.wait(future.done, f"an answer of {service}", 30.0)
-        assert future.result().success, future.result().message
+    graph.switch_on()
     graph.spin(3.0)
     for _ in os.sched_getaffinity(0):
         executables.start("burner", program=[sys.executable, "-c", "while True: pass"], timeout_s=200.0)

@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 
 from beam_ros import messages
-from beam_ros.interfaces.graph import SET_BOOL
 from beam_ros.messages import LiveIdentification
 from beam_ros.offline.identification import identification_of_bags
 
@@ -42,11 +41,7 @@ def test_it_grows_with_a_rig_and_ends_with_the_answer_of_the_recorded_bag(
     ]
     graph.wait(lambda: bool(said) and bool(recorded), "the nodes")
     assert said[0].state == "waiting"
-    graph.call("hub/home")
-    client = graph.node.create_client(graph.types.service_class(SET_BOOL), "hub/enable")
-    assert client.wait_for_service(20.0)
-    enabled = client.call_async(client.srv_type.Request(data=True))
-    graph.wait(enabled.done, "an enabled hub")
+    graph.switch_on()
     graph.call("excitation/start")
     graph.wait(lambda: said[-1].state == "ended", "the end of the excitation", 90.0)
     states = [own.state for own in said]

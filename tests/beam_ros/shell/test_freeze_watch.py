@@ -89,12 +89,16 @@ def _frozen_and_asked(graph, hub) -> None:
     graph.listen("/diagnostics", lambda m: sentences.extend(s.message for s in messages.read_diagnostics(m)))
     graph.listen("hub/state", lambda m: positions.append(m.position[0]))
     graph.wait(lambda: bool(positions), "a hub that speaks", 20.0)
-    assert _ask(graph, "hub/home").success
+    assert graph.call("hub/home").success
     graph.spin(0.3)
     hub.send_signal(signal.SIGSTOP)
     try:
         graph.spin(0.2)
-        futures = [_request(graph, "hub/enable"), _request(graph, "hub/home"), _request(graph, "hub/stop")]
+        futures = [
+            graph.request("hub/enable", data=True),
+            graph.request("hub/home"),
+            graph.request("hub/stop"),
+        ]
         graph.spin(3.0)
         positions.clear()
     finally:
@@ -110,22 +114,4 @@ def _frozen_and_asked(graph, hub) -> None:
     sentences.clear()
     graph.wait(lambda: any("homed" in s or "enabled" in s for s in sentences), "a state")
     assert not any("enabled" in s for s in sentences)
-    assert _ask(graph, "hub/enable").success
-
-
-def _request(graph, service: str):
-    from beam_ros.interfaces.graph import SERVICES
-
-    service_class = graph.types.service_class(SERVICES[service].type_name)
-    client = graph.node.create_client(service_class, service)
-    graph.wait(client.service_is_ready, service, 15.0)
-    request = service_class.Request()
-    if service == "hub/enable":
-        request.data = True
-    return client.call_async(request)
-
-
-def _ask(graph, service: str):
-    future = _request(graph, service)
-    graph.wait(future.done, f"an answer of {service}", 15.0)
-    return future.result()
+    assert graph.call("hub/enable", data=True).success

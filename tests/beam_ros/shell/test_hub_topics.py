@@ -9,22 +9,9 @@ import pytest
 
 from beam_ros import messages
 from beam_ros.bags.batches import encode_chunk
-from beam_ros.interfaces.graph import SERVICES
 
 pytestmark = pytest.mark.ros
 pytest.importorskip("rclpy")
-
-
-def _call(graph, service: str):
-    service_class = graph.types.service_class(SERVICES[service].type_name)
-    client = graph.node.create_client(service_class, service)
-    graph.wait(client.service_is_ready, service, 20.0)
-    request = service_class.Request()
-    if service == "hub/enable":
-        request.data = True
-    future = client.call_async(request)
-    graph.wait(future.done, f"an answer of {service}", 15.0)
-    assert future.result().success, future.result().message
 
 
 def test_a_malformed_chunk_refuses_its_sequence_at_once_and_the_next_one_is_taken(executables, graph) -> None:
@@ -32,8 +19,7 @@ def test_a_malformed_chunk_refuses_its_sequence_at_once_and_the_next_one_is_take
     graph.listen("hub/sequence_state", lambda message: states.append(messages.read_json(message)))
     sequence = graph.publisher("hub/sequence")
     executables.start("simulator", "--ros-args", "-p", "simulation.images:=false")
-    for service in ("hub/home", "hub/enable"):
-        _call(graph, service)
+    graph.switch_on()
     graph.wait(lambda: sequence.get_subscription_count() > 0, "a hub that listens")
 
     def chunks(name: str, lead_s: float = 30.0):

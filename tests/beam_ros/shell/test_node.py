@@ -32,8 +32,7 @@ def test_a_node_answers_also_with_the_plain_executor(executables, graph, hidden:
     positions = []
     graph.listen("hub/state", lambda message: positions.append(message.position[0]))
     graph.wait(lambda: bool(positions), "a hub that speaks", 30.0)
-    assert graph.call("hub/home").success
-    assert graph.call("hub/enable", data=True).success
+    graph.switch_on()
     executables.interrupt()
     assert hub.wait(30.0) == 0, hub.output()
     assert "Traceback" not in hub.output()
