@@ -51,7 +51,7 @@ def _regressors(n: int) -> tuple[list[int], IndexArray]:
     borders = [most]
     while most and (following := math.ceil(_GROWTH * borders[-1])) <= n // _ROWS_PER_LAG:
         borders.append(following)
-    rows = np.arange(borders[-1], n)
+    rows = np.arange(most, n)
     if len(rows) > _MAX_ROWS:
         chunks = np.array_split(rows, _CHUNKS)
         rows = np.concatenate([own[: _MAX_ROWS // _CHUNKS] for own in chunks])
@@ -73,13 +73,14 @@ def _criterion(values: FloatArray) -> float:
         return -math.inf
     scaled = values / math.sqrt(power)
     borders, rows = _regressors(n)
-    most = borders[0]
-    sums = np.cumsum(scaled)
+    most, longest = borders[0], borders[-1]
+    # A blow or a step at the beginning is half of what many a record tells: its first value stands for all before.
+    sums = np.cumsum(np.concatenate([[0.0], np.full(longest, scaled[0]), scaled]))
     columns = np.empty((most + len(borders), len(rows)))
     for lag in range(1, most + 1):
         np.take(scaled, rows - lag, out=columns[lag - 1])
     for k, (near, far) in enumerate(pairwise(borders), start=most):
-        columns[k] = (sums[rows - near - 1] - sums[rows - far - 1]) / (far - near)
+        columns[k] = (sums[rows + longest - near] - sums[rows + longest - far]) / (far - near)
     np.take(scaled, rows, out=columns[-1])
     gram = columns @ columns.T / len(rows)
     try:

@@ -30,6 +30,20 @@ def test_a_response_that_noise_hides_to_the_eye_is_related():
     assert not is_related([(TIMES, noise)], [noise], 4, False, False)
 
 
+@pytest.mark.parametrize("first", [45, 60, 150])
+def test_a_blow_at_the_beginning_is_seen_where_the_model_is_only_nearly_right(first):
+    """The longest means of the past reach over a tenth of the record: what is in it counts all the same."""
+    blow = np.where(np.arange(2000) == first, 1.0, 0.0)
+    swing = [0.0, 0.0]
+    for push in blow:  # the air brakes with the square of the speed
+        speed = swing[-1] - swing[-2]
+        swing.append(1.9 * swing[-1] - 0.997 * swing[-2] + push - 0.02 * abs(speed) * speed)
+    measured = np.array(swing[2:]) + 0.003 * RNG.standard_normal(2000)
+    linear = lfilter([1.0], [1.0, -1.9, 0.994], blow)
+    left = measured - linear * (linear @ measured) / (linear @ linear)
+    assert is_related([(TIMES, measured)], [left], 4, False, False)
+
+
 def test_drift_that_a_model_has_beside_the_input_does_not_count_for_it():
     noise = RNG.standard_normal(2000)
     assert not is_related([(TIMES, 40.0 + 3.0 * TIMES + noise)], [noise], 5, True, True)
