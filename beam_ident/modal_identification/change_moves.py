@@ -61,6 +61,8 @@ def _settled(search: TimeSearch, changes: tuple[ModeChange, ...]) -> tuple[tuple
             return best
         best = changes, modes
         changes = tuple(moved_on(own, problem, modes) for own, _, _ in clocks.estimated_changes(modes))
+        if not all(own.runs_forward for own in changes):
+            return best
 
 
 def _price(n_samples: int, n_parameters: int, n_places: int) -> float:
@@ -71,7 +73,10 @@ def _price(n_samples: int, n_parameters: int, n_places: int) -> float:
 def _likeliest(
     some: SampledFit, changes: Sequence[ModeChange], believed: Sequence[bool]
 ) -> ModeChange | None:
-    """Return the change of one more mode that what a fit leaves speaks for most clearly, to first order, if any."""
+    """Return the change of one more mode that what a fit leaves speaks for most clearly, to first order, if any.
+
+    What would bring a frequency below zero is a broad peak that stands for something else.
+    """
     changing = changes_of(changes, some.fit.omegas)
     steady = [mode for mode, is_believed in enumerate(believed) if is_believed and mode not in changing]
     asked = possible_changes(some.regression, some.fit, steady)
@@ -93,5 +98,7 @@ def _likeliest(
             free = solution.left_of(own)[:, 0]
             top += float(free @ left) / sigma**2
             bottom += float(free @ free) / sigma**2
-        clearest, best = test.statistic, replace(change, share=top / bottom)
+        found = replace(change, share=top / bottom)
+        if found.runs_forward:
+            clearest, best = test.statistic, found
     return best
