@@ -19,6 +19,7 @@ LIVE = {
         "tests/beam_ros/bags/test_bag_",
         "tests/firmware/test_host_build.py",
         "tests/packaging/test_plug_in.py",
+        "tests/docs/test_tutorials.py",
     ),
     "ports": (
         "tests/beam_ros/hub/emulated/",
