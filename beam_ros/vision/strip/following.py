@@ -157,6 +157,7 @@ class _Step(NamedTuple):
     middle: FloatArray
     moved: FloatArray
     sigma: FloatArray
+    pulled: FloatArray
     reasons: IndexArray
     gain: float | FloatArray
     heights: FloatArray
@@ -467,7 +468,9 @@ class LineFollower:
             return None
         self._learn(step, curve, is_ok)
         position = np.where(is_ok, step.middle + step.moved, np.nan)
-        return curve, StripFrame(position, np.where(is_ok, step.sigma, np.nan), reasons)
+        return curve, StripFrame(
+            position, np.where(is_ok, np.hypot(step.sigma, step.pulled), np.nan), reasons
+        )
 
     def _step(self, flat: ImageArray, curve: FloatArray, smear: FloatArray) -> _Step | None:
         """Shift of every band against a curve; None where there is no strip along it."""
@@ -491,6 +494,7 @@ class LineFollower:
         limit = freedom + _ROW_SIGMAS * (2.0 * freedom) ** 0.5
         is_good = inside & (fits.misfit < limit * loose)
         weight = is_good * expected / (fits.slope_gain * white)
+        pulled, pulled_gain = table.pulled(entry, pixels, seen)
         # The table's positions differ from the curve's by up to half a phase: that is taken out of the shifts.
         worth = weight * expected
         columns = (
@@ -501,6 +505,8 @@ class LineFollower:
             is_good * fits.height,
             is_good * expected,
             is_good * height_variance,
+            weight * pulled,
+            weight**2 * pulled_gain * white,
         )
         sums = self._bands(np.concatenate(columns).reshape(len(columns), -1))
         total = np.maximum(sums[0], _NOTHING)
@@ -509,7 +515,8 @@ class LineFollower:
             self._band_basis @ curve,
             moved,
             sigma,
-            self._judged(sums[2:]),
+            np.sqrt(np.maximum(sums[7] ** 2 - _HEIGHT_SIGMAS**2 * sums[8], 0.0)) / total,
+            self._judged(sums[2:7]),
             gain,
             fits.height,
             is_good,

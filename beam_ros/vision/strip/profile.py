@@ -145,6 +145,14 @@ class ProfileTable:
         self.basis = basis.astype(np.float32)
         self.shapes = shape.astype(np.float32)
         self.freedom = np.clip(1.0 - np.sum(basis**2, axis=1), 0.0, 1.0).astype(np.float32)
+        # Two grounds, one higher than the other: what of them a shift does not explain tells how much it does.
+        aside = np.arange(-self.half, self.half + 1) + self._phases()
+        sides = np.tile(np.sign(aside), (len(shape) // PHASES, 1)) * (1.0 - shape)
+        alone = sides - np.einsum("ek,ekw->ew", np.einsum("ekw,ew->ek", basis, sides), basis)
+        seen = np.sum(alone**2, axis=1)
+        pulls = np.sum(sides * steep, axis=1) / shift
+        self._sides = (alone * (pulls / seen)[:, None]).astype(np.float32)
+        self._sides_gain = pulls**2 / seen
         level = np.sum(steep**2 * shape, axis=1) - shape.mean(axis=1)
         of_raised, of_steep, per_shift = 1.0 / height, -shared / (height * shift), 1.0 / shift
         self._terms = np.stack(
@@ -174,6 +182,28 @@ class ProfileTable:
         entries = (len(widths_px) * self._bins * PHASES, self.size)
         return np.stack(shape, axis=1).reshape(entries), np.stack(slope, axis=1).reshape(entries), spread
 
+    @staticmethod
+    def _phases() -> FloatArray:
+        """Tabulated places of a pixel's middle against the strip's, shape (PHASES, 1) [px]."""
+        return np.asarray((np.arange(PHASES)[::-1, None] + 0.5) / PHASES - 0.5)
+
+    def pulled(
+        self, entry: IndexArray, pixels: Float32Array, seen: np.ndarray | None = None
+    ) -> tuple[FloatArray, FloatArray]:
+        """Tell how far two grounds of a row, one at either side, pull its shift.
+
+        Parameters are those of ``fit``.
+
+        Returns
+        -------
+        slope : ndarray, shape (n,) -- the part of s that they make
+        gain : ndarray, shape (n,) -- its variance for white noise of variance 1
+        """
+        if seen is not None:
+            pixels = self.residual(entry, pixels, seen)
+        slope = np.einsum("rw,rw->r", self._sides.take(entry, axis=0), pixels)
+        return slope.astype(np.float64), self._sides_gain.take(entry)
+
     def changes(self) -> Float32Array:
         """How T of a strip at rest changes with its blur's logarithm and its width [1/px], beyond the basis.
 
@@ -181,8 +211,7 @@ class ProfileTable:
         -------
         ndarray, shape (n_entries, 2, size)
         """
-        phases = (np.arange(PHASES)[::-1, None] + 0.5) / PHASES - 0.5
-        x, widths = np.arange(-self.half, self.half + 1) + phases, self._widths_px[:, None, None]
+        x, widths = np.arange(-self.half, self.half + 1) + self._phases(), self._widths_px[:, None, None]
         sigma = max(self._blur_px, _SHARPEST_PX)
         of_blur = of_width = np.zeros(())
         for bar in (1.0, -1.0):

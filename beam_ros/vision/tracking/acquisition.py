@@ -88,7 +88,6 @@ class Acquisition:
         self.clutter: list[list[Thing]] = [[] for _ in markers]
         self._frame = self._elapsed_ns = 0
         self._now: Frame | None = None
-        self._shear_of_speed = 0.0
         self._looks: dict[Spot, Appearance] = {}
         self._bare: dict[Spot, tuple[Spot, Light, Appearance]] = {}
         self._narrower = 0.0
@@ -99,21 +98,20 @@ class Acquisition:
         self._blobs: list[Blob] = []
         self._shapes: dict[int, tuple[int, Gates]] = {}
 
-    def acquire(self, frame: Frame, elapsed_ns: int, shear_of_speed: float) -> dict[int, Reason]:
+    def acquire(self, frame: Frame, elapsed_ns: int) -> dict[int, Reason]:
         """Find markers in a frame.
 
         Parameters
         ----------
         frame : Frame -- with the markers that are seen in it
         elapsed_ns : int -- time since the one before [ns]
-        shear_of_speed : float -- what a rolling shutter makes of a speed [px/px over px per frame]
 
         Returns
         -------
         dict -- what keeps the markers that were not found
         """
         image, self._now, self._frame = frame.image, frame, frame.number
-        self._elapsed_ns, self._shear_of_speed = elapsed_ns, shear_of_speed
+        self._elapsed_ns = elapsed_ns
         missing = [k for k, marker in enumerate(self._markers) if not marker.is_followed]
         found: list[Candidate] = []
         others: list[tuple[float, float]] = []
@@ -301,37 +299,37 @@ class Acquisition:
         """Name spots by the rows in which the markers are known to lie."""
         chosen: dict[int, Candidate] = {}
         reasons: dict[int, Reason] = dict.fromkeys(missing, "not_acquired")
-        parameters = self._parameters
-        at = [marker.motion.u for marker in self._markers if marker.is_followed and marker.lost_frames == 0]
-        left, right = beam_reach(at, parameters.max_bend_px)
+        at = [marker.motion.u for marker in self._markers if marker.is_seen]
+        left, right = beam_reach(at, self._parameters.max_bend_px)
+        found = [candidate for candidate in found if left <= candidate[0].u <= right]
+        others = [place for place in others if left <= place[0] <= right]
         for k in missing:
-            marker = self._markers[k]
-            row, tolerance = marker.known_row, parameters.expected_row_tolerance_px
-            if row is None:
-                continue
-            near = [
-                candidate
-                for candidate in found
-                if left <= candidate[0].u <= right
-                and abs(candidate[0].v - row) <= tolerance
-                and not is_taken(self._markers, candidate[0], k, parameters.marker_diameter_px / 2)
-            ]
-            beside = [(u, v) for u, v in others if left <= u <= right and abs(v - row) <= tolerance]
+            near = [candidate for candidate in found if self._may_be(k, candidate[0])]
+            beside = [(u, v) for u, v in others if self._is_in_row(k, v)]
             told = self._told(k, [spot for spot, _ in near], [u for u, _ in beside])
             if told is not None:
                 # What moves as the beam does is the marker, whatever else is or was there.
                 near, beside, self.clutter[k] = [near[told]], [], []
-            if len(near) == 1 and (told is not None or not marker.belief.hypotheses):
+            if len(near) == 1 and (told is not None or not self._markers[k].belief.hypotheses):
                 reasons[k] = self._doubt(k, near[0][0], beside)
                 if reasons[k] == "ok":
                     chosen[k] = near[0]
-                    del reasons[k]
             else:
                 self._sightings[k] = None
                 self._note_clutter(k, [u for u, _ in beside])
                 if near:
                     reasons[k] = "ambiguous"
-        return chosen, reasons
+        return chosen, {k: reason for k, reason in reasons.items() if k not in chosen}
+
+    def _is_in_row(self, k: int, v: float) -> bool:
+        """True for a row in which a marker is looked for [px]."""
+        row = self._markers[k].known_row
+        return row is not None and abs(v - row) <= self._parameters.expected_row_tolerance_px
+
+    def _may_be(self, k: int, spot: Spot) -> bool:
+        """True for a spot in a marker's row on which no other one is followed."""
+        near = self._parameters.marker_diameter_px / 2
+        return self._is_in_row(k, spot.v) and not is_taken(self._markers, spot, k, near)
 
     def _told(self, k: int, spots: list[Spot], things: list[float]) -> int | None:
         """Which one of several spots in a marker's row it is, by their motions; None where that is not certain."""
@@ -360,7 +358,7 @@ class Acquisition:
 
     def _doubt(self, k: int, spot: Spot, others: list[tuple[float, float]]) -> Reason:
         """Name what makes a spot doubtful that is alone of its kind in a marker's row; "ok" where nothing does."""
-        shear = self._shear_of_speed * self._parameters.max_gate_px
+        shear = self._recovery.shear_of_speed * self._parameters.max_gate_px
         disc = one_disc(*self._bare[spot], self._parameters, self._narrower, shear)
         before, motion = self._sightings[k], self._markers[k].motion
         if before is not None and before.frame != self._frame - 1:
@@ -391,7 +389,7 @@ class Acquisition:
         if (disc.excess + before.excess) / 2 - explained > slack:
             return "smear"
         # The mean of both is sheared by the mean speed, at most.
-        half = self._shear_of_speed * (spot.u - before.u) * self._bare[spot][2].variance_v / 2
+        half = self._recovery.shear_of_speed * (spot.u - before.u) * self._bare[spot][2].variance_v / 2
         slack = (
             disc.tolerance + (1 + 2 * _SPEED_SLACK) * abs(half) + abs(disc.covariance - before.covariance) / 4
         )

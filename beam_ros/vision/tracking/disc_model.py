@@ -78,8 +78,6 @@ _LIGHT_STEPS = (-0.95, -0.8, -0.5, 0.0, 0.7, 1.6, 3.2, 6.5, 13.0)
 """Ratios beta / alpha for which weights are tabulated, below 0 where the disc hides a texture, ..."""
 _LIGHT_MIDDLES = [(lower + upper) / 2 for lower, upper in pairwise(_LIGHT_STEPS)]
 """... and those where one gives way to the next."""
-_MODES_OF_RIM = ((2, np.sin), (3, np.cos), (3, np.sin), (4, np.cos), (4, np.sin))
-"""Waves around the rim that show its noise; the other one of two waves is what a smear along u makes."""
 _LONG_MODES = 1
 """So many of these, the first, are long: they notice what is smooth over some pixels, and the rest what is not."""
 _SAME = 1e-3
@@ -205,25 +203,28 @@ def _tabulated(
     slope = np.exp(-0.5 * depth * depth) / (math.sqrt(2 * math.pi) * edge)
     along, across = slope * dx / distance, slope * y / distance
 
-    def seen(values: FloatArray) -> FloatArray:
-        return np.asarray(np.broadcast_to(values, depth.shape).mean(axis=0).ravel())
+    def seen(*fields: FloatArray) -> FloatArray:
+        """Means over the exposure, shape (n_fields, height * width)."""
+        return np.asarray(np.stack(fields).reshape(len(fields), count, -1).mean(axis=1))
 
-    disc = seen(cumulative_normal(depth))
-    model = [along, across, depth, depth, slope, -slope * depth, instants * along]
     turned = slope * (depth / edge * dx * dx + y * y / distance) / (distance * distance)
-    if not smear_steps:
-        model[6] = -0.5 * turned  # d^2 T/du^2 / 2: a short motion shows by its second moment only
-    own = np.stack([seen(column) for column in model])
-    own[2], own[3] = disc, 1.0
+    # d^2 T/du^2 / 2 where there is no smear: a short motion shows by its second moment only.
+    of_smear = instants * along if smear_steps else -0.5 * turned
+    one = np.ones_like(depth)
+    own = seen(along, across, cumulative_normal(depth), one, slope, -slope * depth, of_smear)
+    disc = own[2]
     weight = 1.0 / (1.0 + _LIGHT_STEPS[light] * disc)
     solution = np.linalg.inv((own * weight) @ own.T) @ (own * weight)
-    moved = [-along * depth / edge, along * (depth * depth - 1.0) / edge, -instants * turned]
-    changes = [seen(change) for change in moved]
-    angle = np.arctan2(np.broadcast_to(y, depth.shape), dx)
-    modes = [seen(slope * wave(n * angle)) for n, wave in _MODES_OF_RIM]
+    changes = seen(-along * depth / edge, along * (depth * depth - 1.0) / edge, -instants * turned)
+    once = (dx + 1j * y) / distance  # exp(i angle)
+    twice, thrice = once * once, once * once * once
+    four = twice * twice
+    # Waves around the rim that show its noise; the other one of two waves is what a smear along u makes.
+    modes = seen(*(slope * wave for wave in (twice.imag, thrice.real, thrice.imag, four.real, four.imag)))
     bend = (instants**2 - 1 / 12) * along
     turn = 0.5 * slope * dx * y / (distance * distance) * (1.0 / distance - depth / edge)  # d^2 T/(du dv) / 2
-    outside, inside, bent = seen(x) * (1.0 - disc), seen(x) * disc, seen(bend)
+    bent, turning, aside, below, shear = seen(bend, turn, x * one, y * one, along * y)
+    outside, inside = aside * (1.0 - disc), aside * disc
 
     faint = _FAINT * float(np.sum(weight * own[0] * own[0]))
 
@@ -241,17 +242,16 @@ def _tabulated(
     (outside_weights, bend_weights), (outside_pull, bend_pull) = beside(np.stack([outside, bent]), own)
     inside_weights, (inside_pull,) = beside(inside[None, :], np.vstack([own, outside]))
     taken = np.vstack([own, bent]) if bend_pull else own
-    rows = [outside_weights, *inside_weights, bend_weights, *beside(np.stack(modes), taken)[0]]
-    rows += [solution[6], *beside(seen(turn)[None, :], taken)[0]]
+    rows = [outside_weights, *inside_weights, bend_weights, *beside(modes, taken)[0]]
+    rows += [solution[6], *beside(turning[None, :], taken)[0]]
     weights = np.vstack([solution[:4], rows])
 
     def gain(row: FloatArray) -> Gain:
-        return Gain(*(float(row @ change) for change in changes))
+        return Gain(*(changes @ row).tolist())
 
-    columns = np.vstack([own, outside, inside, seen(y) * (1.0 - disc), seen(y) * disc])
+    columns = np.vstack([own, outside, inside, below * (1.0 - disc), below * disc])
     sheared: list[float] = []
     if is_sheared:  # every row is moved along u by its distance from the centre
-        shear = seen(along * y)
         columns = np.vstack([columns, shear])
         sheared = (weights[_MODES] @ shear).tolist()
     inverse = np.linalg.inv((columns * weight) @ columns.T)
@@ -410,7 +410,7 @@ class DiscModel:
         self._radius = self._edge = 0.0
         self._slopes = (Habit(_STEEP, _STEEP), Habit(0.0, _STEEP, is_constant=True))
         self._even_bend, self._bend = Habit(_BENT, 0.0), Habit(_BENT, 0.0)
-        self._modes = [0.0] * len(_MODES_OF_RIM)
+        self._modes = [0.0] * (_MODES.stop - _MODES.start)
         self._mode_noise = 0.0
         self._last = math.nan
         self._roughness = 1.0, 1.0

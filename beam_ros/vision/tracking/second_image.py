@@ -268,44 +268,60 @@ class SecondImages:
         since_s : float -- time in which the markers made their steps [s]
         is_seen : bool -- a marker that is not among them shows a second image
         """
-        pulls = []
         self._unreflected_frames += 1
-        for found, appearance, flatness, step, speed, doubt, was_pulled in sightings:
-            motion = self._motion((speed + doubt) / since_s)
-            px = pull(found, motion, appearance, _DOUBTED if was_pulled else _STRIKING)
-            is_longer = px > 0.0
-            is_too_far = is_longer and px * px > _MAX_PULL_PX**2 + _SIGNIFICANT * found.sigma_excess
-            if math.isnan(step) and pull(found, AT_REST, appearance) > 0.0:
-                # Whether it moved, or a second image lies over it, nobody knows.
-                px = max(px, usual_pull(found, AT_REST, appearance))
-            aside = 0.0
-            if (was_pulled or not appearance.is_settled) and motion.smear**2 / 12 <= found.sigma_excess:
-                look = appearance if appearance.is_settled else _round(appearance, flatness)
-                aside = pull(found, motion, look, _PLAIN if was_pulled else _STRIKING)
-                if was_pulled and aside > abs(step):
-                    self._unreflected_frames = 0
-            is_suspect = is_longer or aside > 0.0
-            is_seen |= is_suspect
-            pulls.append(Pull(motion, math.inf if is_too_far else px, is_suspect))
-            if px > 0.0 and doubt < _STEADY * speed:
-                smear_s = math.sqrt(12 * max(found.excess - appearance.excess, 0.0)) * since_s / speed
-                if smear_s <= since_s:
-                    self._exposures.append(_Exposure(smear_s, False))
-            elif px == 0.0:
-                self.note_explained(found.sigma_excess, speed, since_s)
-        if is_seen or self._is_reflected:
-            for k, (found, appearance, flatness, _, speed, doubt, _) in enumerate(sightings):
-                disc = _round(appearance, flatness)
-                motion = self._motion(max(speed - doubt, 0.0) / since_s)
-                px = 0.0
-                if self._is_reflected or pull(found, motion, disc, _DOUBTED) > 0.0:
-                    px = usual_pull(found, motion, disc)
-                pulls[k] = pulls[k]._replace(centre_px=max(pulls[k].centre_px, px))
+        pulls = [self._alone(sighting, since_s) for sighting in sightings]
+        if is_seen or self._is_reflected or any(each.is_seen for each in pulls):
+            pulls = [
+                self._beside(each, sighting, since_s) for each, sighting in zip(pulls, sightings, strict=True)
+            ]
         share, mean = self._blended(sightings, self._exposed_s / since_s)
         return [
             self._with_frame_before(each, sighting, share, mean)
             for each, sighting in zip(pulls, sightings, strict=True)
         ]
+
+    def _alone(self, sighting: Sighting, since_s: float) -> Pull:
+        """What a marker by itself shows of a second image."""
+        found, appearance, _, step, speed, doubt, was_pulled = sighting
+        motion = self._motion((speed + doubt) / since_s)
+        px = pull(found, motion, appearance, _DOUBTED if was_pulled else _STRIKING)
+        is_longer = px > 0.0
+        is_too_far = px * px > _MAX_PULL_PX**2 + _SIGNIFICANT * found.sigma_excess
+        if math.isnan(step) and pull(found, AT_REST, appearance) > 0.0:
+            # Whether it moved, or a second image lies over it, nobody knows.
+            px = max(px, usual_pull(found, AT_REST, appearance))
+        self._note_exposure(sighting, px, since_s)
+        is_suspect = self._is_reflection(sighting, motion) or is_longer
+        return Pull(motion, math.inf if is_too_far else px, is_suspect)
+
+    def _is_reflection(self, sighting: Sighting, motion: Motion) -> bool:
+        """True where a marker that hardly moves may show one; takes note of one that is certain."""
+        found, appearance, flatness, step, _, _, was_pulled = sighting
+        if (appearance.is_settled and not was_pulled) or motion.smear**2 / 12 > found.sigma_excess:
+            return False
+        look = appearance if appearance.is_settled else _round(appearance, flatness)
+        aside = pull(found, motion, look, _PLAIN if was_pulled else _STRIKING)
+        if was_pulled and aside > abs(step):
+            self._unreflected_frames = 0
+        return aside > 0.0
+
+    def _note_exposure(self, sighting: Sighting, px: float, since_s: float) -> None:
+        """Take note of the exposure that a smear shows, or of the longest that one leaves possible without a pull."""
+        found, appearance, _, _, speed, doubt, _ = sighting
+        if px == 0.0:
+            self.note_explained(found.sigma_excess, speed, since_s)
+        elif doubt < _STEADY * speed:
+            smear_s = math.sqrt(12 * max(found.excess - appearance.excess, 0.0)) * since_s / speed
+            if smear_s <= since_s:
+                self._exposures.append(_Exposure(smear_s, False))
+
+    def _beside(self, alone: Pull, sighting: Sighting, since_s: float) -> Pull:
+        """Add the second image that others show, and that a disc as round as it should be leaves possible."""
+        found, appearance, flatness, _, speed, doubt, _ = sighting
+        disc, motion = _round(appearance, flatness), self._motion(max(speed - doubt, 0.0) / since_s)
+        if not (self._is_reflected or pull(found, motion, disc, _DOUBTED) > 0.0):
+            return alone
+        return alone._replace(centre_px=max(alone.centre_px, usual_pull(found, motion, disc)))
 
     def _with_frame_before(self, pull_: Pull, sighting: Sighting, share: float, mean: float) -> Pull:
         """Add what the frame before does to a marker: root mean square and mean of its pull over its step."""

@@ -200,6 +200,8 @@ class Blob(NamedTuple):
 
 
 Bounds = tuple[float, float]
+Way = tuple[float | None, float]
+"""Shear and bend that a marker's motion makes of its image, as in ``DiscModel.fit`` [px/px, px]."""
 
 
 class Smears(NamedTuple):
@@ -366,15 +368,6 @@ class SpotMeter:
         variance = 0.5 * (lower + min(max(higher * higher * count / (count - 1), lower), _ALIKE * lower))
         return Sides(mean_left.item(), mean_right.item(), variance)
 
-    def is_dim(self, image: ImageArray, u: float, v: float, contrast: float) -> bool:
-        """True when nothing near a place, as far as a lost marker is believed, is as bright as a marker."""
-        parameters = self.parameters
-        reach, across = round(parameters.max_gate_px), round(parameters.row_gate_px)
-        top, left = max(0, round(v) - across), max(0, round(u) - reach)
-        top, bottom = max(0, top - self.half), round(v) + across + self.half + 1
-        relief = self.relief(image[top:bottom, left : round(u) + reach + 1])
-        return relief.most < (1.0 - parameters.brightness_tolerance) * contrast
-
     def is_clipped(self, image: ImageArray, u: float, v: float) -> bool:
         """True when the pixels about a place are all of the one grey level that no pixel of the picture exceeds."""
         return has_flat_top(image, max(1, round(u)), max(1, round(v)), is_dark=self._is_dark)
@@ -447,6 +440,22 @@ class SpotMeter:
     def _excess_scatter(self, light: Light, appearance: Appearance) -> float:
         """Standard deviation by noise of the second moment along u beyond that along v [px^2]."""
         return _EXCESS_SCATTER * disc_scatter(light, appearance.area) * appearance.variance_v
+
+    def located(
+        self, image: ImageArray, spot: Spot, light: Light, disc: Appearance, way: Way | None
+    ) -> DiscFit | Reason:
+        """Find a marker as ``refine`` does, or without its way in the exposure as ``centre`` does.
+
+        The first time its own shape is learned, which may be no disc's.
+        """
+        known = image, spot, light, disc
+        found = self.centre(*known) if way is None else self.refine(*known, *way)
+        if disc.frames == 1 and isinstance(found, DiscFit):
+            was_disc = disc.is_disc
+            self.begin(found, disc)
+            if was_disc and not disc.is_disc:
+                return self.located(*known, way)
+        return found
 
     def refine(
         self,

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from functools import partial
 from itertools import repeat, zip_longest
 from typing import NamedTuple
 
@@ -39,8 +40,7 @@ from beam_ros.vision.tracking.second_image import (
     Sighting,
     is_explained,
 )
-from beam_ros.vision.tracking.spot_search import RowSpots
-from beam_ros.vision.tracking.spots import APART_PX, Reason, Spot, SpotMeter, upright_spot
+from beam_ros.vision.tracking.spots import APART_PX, Gates, Reason, Spot, SpotMeter, Way, upright_spot
 
 _PROBATION_FRAMES = 10
 """A marker acquired for the first time is doubted anew where something appears in its row within so many frames."""
@@ -120,7 +120,7 @@ class Sight(NamedTuple):
 
     Attributes
     ----------
-    marker, light, appearance : MarkerState, Light, Appearance -- as they were before
+    marker, light, appearance, gates : MarkerState, Light, Appearance, Gates -- as they were before
     spot, found : Spot, DiscFit -- what is seen of it
     is_fresh : bool -- it was not seen in the frame before
     is_lit, is_due : bool -- its light, and its gates, are to be measured anew
@@ -129,6 +129,7 @@ class Sight(NamedTuple):
     marker: MarkerState
     light: Light
     appearance: Appearance
+    gates: Gates
     spot: Spot
     found: DiscFit
     is_fresh: bool
@@ -164,7 +165,6 @@ class MarkerTracker:
         self._meter = SpotMeter(parameters)
         self._is_refined = parameters.refinement != "none"
         self._markers: list[MarkerState] = []
-        self._exposure_s = math.inf if timing is None else timing.camera.exposure_s
         self._shape: tuple[int, int] | None = None
         # Without a camera's times a marker may move during the whole of a period.
         self._period_s, self._row_delay_s = 1.0, 0.0
@@ -174,7 +174,7 @@ class MarkerTracker:
             self._period_s, self._exposed_s = camera.period_s, camera.exposure_s
             self._row_delay_s = camera.readout_s / (camera.height - 1)
         self._frame = self._stamp_ns = 0
-        self._since_s, self._shear_of_speed = self._period_s, 0.0
+        self._since_s = self._period_s
         self.reset()
 
     # -- state ---------------------------------------------------------------------------------------------
@@ -189,7 +189,8 @@ class MarkerTracker:
             MarkerState(None if rows is None else rows[k] - self._top) for k in range(self.n_markers)
         ]
         self._recovery = Recovery(self._meter, self._markers)
-        self._acquisition = Acquisition(self._meter, self._markers, self._recovery, self._exposure_s)
+        exposure_s = math.inf if self.timing is None else self._exposed_s
+        self._acquisition = Acquisition(self._meter, self._markers, self._recovery, exposure_s)
         self._seconds = SecondImages(self._exposed_s, self._row_delay_s)
         self._ailments = Ailments()
         self._shape, self._frame = None, 0
@@ -311,64 +312,83 @@ class MarkerTracker:
         ):
             self._recovery.note_losses(self._frame)
             nothing = [self._invalid(marker, "repeated", stamp_ns, math.nan) for marker in self._markers]
-            return FrameResult(stamp_ns, tuple(nothing), ())
+            return FrameResult(stamp_ns, tuple(nothing))
+        elapsed_ns = self._begin(stamp_ns, foretold)
+        image = self._ailments.mended(image, self._frame, lambda: self._contrast(image))
+        frame = Frame(image, self._frame, {}, {})
+        self._measure(frame)
+        if not self.is_acquired:
+            self._ailments.watch(self._frame)
+            frame.reasons.update(self._acquisition.acquire(frame, elapsed_ns))
+            self._measure(frame)
+        lost, checked = self._doubtful(frame)
+        if lost:
+            self._ailments.watch(self._frame)
+        elif self._is_shown_again(frame):
+            # The markers are where they are, which this image does not tell: the next one does.
+            nothing = [self._nothing(marker, "repeated", stamp_ns, math.nan) for marker in self._markers]
+            return FrameResult(stamp_ns, tuple(nothing))
+        self._recovery.find(frame, lost, checked)
+        found = [self._found(frame, k, stamp_ns) for k in range(self.n_markers)]
+        results = self._results(frame, found, stamp_ns)
+        self._look_for_ailments(image, found)
+        self._recovery.before = image
+        told = [k for k, marker in enumerate(self._markers) if marker.is_foretold]
+        return FrameResult(stamp_ns, results, tuple(told))
+
+    def _begin(self, stamp_ns: int, foretold: Sequence[Foretold]) -> int:
+        """Take the time and the foretold places of a frame; returns the time since the one before [ns]."""
         elapsed_ns, self._stamp_ns = stamp_ns - self._stamp_ns, stamp_ns
         # Stamps may come late, and frames be missing: of period and elapsed time it is the less.
         self._since_s = max(min(elapsed_ns * 1e-9, self._period_s), self._exposed_s, 1e-9)
-        self._shear_of_speed = self._recovery.shear_of_speed = self._row_delay_s / self._since_s
+        self._recovery.shear_of_speed = self._row_delay_s / self._since_s
         for marker, place in zip_longest(self._markers, foretold):
             marker.foretold, marker.is_foretold = place, False
-        image = self._ailments.mended(image, self._frame, lambda: self._contrast(image))
-        frame = Frame(image, self._frame, {}, {})
-        spots, reasons = frame.spots, frame.reasons
-        self._measure(frame, [k for k, marker in enumerate(self._markers) if marker.is_seen])
-        if not self.is_acquired:
-            self._ailments.watch(self._frame)
-            missing = [k for k, marker in enumerate(self._markers) if not marker.is_followed]
-            reasons.update(self._acquisition.acquire(frame, elapsed_ns, self._shear_of_speed))
-            self._measure(frame, [k for k in missing if self._markers[k].is_seen])
-        lost = [k for k, m in enumerate(self._markers) if reasons.get(k) != "ok" and m.is_followed]
-        checked = [k for k, reason in reasons.items() if reason == "ok" and self._is_to_be_checked(k)]
-        if lost:
-            self._ailments.watch(self._frame)
-        elif self._ailments.is_shown_again(
-            (
-                (self._markers[k].motion.way, spot.u, self._markers[k].motion.sigma)
-                for k, spot in spots.items()
-            ),
-            self._frame,
-        ):
-            # The markers are where they are, which this image does not tell: the next one does.
-            nothing = [self._nothing(marker, "repeated", stamp_ns, math.nan) for marker in self._markers]
-            return FrameResult(stamp_ns, tuple(nothing), ())
-        self._recovery.find(frame, lost, checked)
-        found = [self._found(image, k, spots.get(k), reasons[k], stamp_ns) for k in range(self.n_markers)]
-        sights = [sight for sight in found if isinstance(sight, Sight)]
-        pulls: Iterator[Pull] = repeat(NO_PULL)
-        if self._seconds.is_usual or not all(map(self._is_plain, sights)):
-            is_seen = not {"smear", "out_of_round"}.isdisjoint(reasons.values())
-            pulls = iter(
-                self._seconds.pulls(list(map(self._sighting, sights)), self._since_s, is_seen=is_seen)
-            )
-        else:
-            for sight in sights:
-                if abs(step := self._step(sight)) > TELLING_PX:
-                    self._seconds.note_explained(sight.found.sigma_excess, step, self._since_s)
-        results = [
-            self._result(image, sight, next(pulls), stamp_ns) if isinstance(sight, Sight) else sight
+        return elapsed_ns
+
+    def _is_shown_again(self, frame: Frame) -> bool:
+        """True where the markers' steps say that an image is the one before, with noise of its own."""
+        motions = ((self._markers[k].motion, spot.u) for k, spot in frame.spots.items())
+        seen = ((motion.way, u, motion.sigma) for motion, u in motions)
+        return self._ailments.is_shown_again(seen, self._frame)
+
+    def _results(
+        self, frame: Frame, found: list[Sight | MarkerMeasurement], stamp_ns: int
+    ) -> tuple[MarkerMeasurement, ...]:
+        """State where the markers are, by all of which a second image would show."""
+        pulls = self._pulls([sight for sight in found if isinstance(sight, Sight)], frame)
+        return tuple(
+            self._result(frame.image, sight, next(pulls), stamp_ns) if isinstance(sight, Sight) else sight
             for sight in found
-        ]
-        if self._frame >= self._ailments.fields.next_frame:
-            for k in range(self.n_markers):
-                self._look_at_fields(image, k, found[k])
-        if self._frame >= self._ailments.reduction.next_frame and any(
-            sight.marker.motion.steps > 0 and abs(sight.marker.motion.velocity) <= STILL_PX
-            for sight in sights
-        ):
-            self._ailments.reduction.look(self._frame, image, [sight.spot.region for sight in sights])
-        self._recovery.before = image
-        told = [k for k, marker in enumerate(self._markers) if marker.is_foretold] if foretold else ()
-        return FrameResult(stamp_ns, tuple(results), tuple(told))
+        )
+
+    def _pulls(self, sights: list[Sight], frame: Frame) -> Iterator[Pull]:
+        """How far second images pull the markers: none where the motion explains all of them, as it does mostly."""
+        seconds = self._seconds
+        if seconds.is_usual or not all(map(self._is_plain, sights)):
+            is_seen = not {"smear", "out_of_round"}.isdisjoint(frame.reasons.values())
+            return iter(seconds.pulls(list(map(self._sighting, sights)), self._since_s, is_seen=is_seen))
+        for sight in sights:
+            if abs(step := self._step(sight)) > TELLING_PX:
+                seconds.note_explained(sight.found.sigma_excess, step, self._since_s)
+        return repeat(NO_PULL)
+
+    def _look_for_ailments(self, image: ImageArray, found: list[Sight | MarkerMeasurement]) -> None:
+        """Look for two instants in the rows of the markers, and for a noise reduction about those at rest."""
+        fields, reduction = self._ailments.fields, self._ailments.reduction
+        if self._frame < min(fields.next_frame, reduction.next_frame):
+            return
+        sights = [(k, sight) for k, sight in enumerate(found) if isinstance(sight, Sight)]
+        moved = [(k, sight) for k, sight in sights if sight.marker.motion.steps > 0]
+        is_dark = self.parameters.polarity == "dark"
+        for k, (marker, light, _, _, spot, disc, *_) in moved if self._frame >= fields.next_frame else ():
+            left, top, right, bottom = spot.region
+            level, motion = (light.level,), marker.motion
+            lit = partial(beyond, image[top:bottom, left:right], level, is_dark=is_dark)
+            fields.look(self._frame, k, lit, top, motion.u, motion.velocity, disc.sigma_u)
+        is_still = any(abs(sight.marker.motion.velocity) <= STILL_PX for _, sight in moved)
+        if is_still and self._frame >= reduction.next_frame:
+            reduction.look(self._frame, image, [sight.spot.region for _, sight in sights])
 
     def explained(self, image: ImageArray) -> list[SeenSpot]:
         """Say what stands out in the markers' rows of the frame that was processed last, and as what it counts.
@@ -415,21 +435,9 @@ class MarkerTracker:
         contrast = math.nan if marker.light is None else marker.light.contrast
         return MarkerMeasurement(*_NOWHERE, False, reason, self._stamp(stamp_ns, row), contrast, area)
 
-    def _look_at_fields(self, image: ImageArray, k: int, sight: Sight | MarkerMeasurement) -> None:
-        """Look for two instants in the rows of a marker."""
-        if isinstance(sight, Sight) and sight.marker.motion.steps > 0:
-            motion, (left, top, right, bottom) = sight.marker.motion, sight.spot.region
-
-            def light() -> ImageArray:
-                is_dark = self.parameters.polarity == "dark"
-                return beyond(image[top:bottom, left:right], (sight.light.level,), is_dark=is_dark)
-
-            self._ailments.fields.look(
-                self._frame, k, light, top, motion.u, motion.velocity, sight.found.sigma_u
-            )
-
-    def _measure(self, frame: Frame, numbers: Sequence[int]) -> None:
-        """Measure markers where they should be."""
+    def _measure(self, frame: Frame) -> None:
+        """Measure the markers that are seen, and that were not measured yet, where they should be."""
+        numbers = [k for k, marker in enumerate(self._markers) if marker.is_seen and k not in frame.reasons]
         places = [self._expected(self._markers[k]) for k in numbers]
         measured = self._meter.measure_all(frame.image, places)
         for k, place, (spot, reason) in zip(numbers, places, measured, strict=True):
@@ -438,14 +446,24 @@ class MarkerTracker:
                 reason = self._compare(frame.image, self._markers[k], spot, place[0])
             frame.reasons[k] = reason
 
-    def _is_to_be_checked(self, k: int) -> bool:
-        """True where a marker is new, was not known for certain, or is to be looked at once more."""
-        marker = self._markers[k]
-        return (
-            self._frame - marker.acquired_at < _PROBATION_FRAMES
-            or (self._frame + k) % _CHORES_EVERY_FRAMES == 0
-            or marker.belief.is_watched(self._frame, _PROBATION_FRAMES)
-        )
+    def _is_due(self, k: int) -> bool:
+        """True in the frames in which the chores of a marker are done."""
+        return (self._frame + k) % _CHORES_EVERY_FRAMES == 0
+
+    def _doubtful(self, frame: Frame) -> tuple[list[int], list[int]]:
+        """Markers that are not where they should be; and those that are new, not certain, or due to be checked."""
+        lost, checked = [], []
+        for k, marker in enumerate(self._markers):
+            if frame.reasons.get(k) != "ok":
+                if marker.is_followed:
+                    lost.append(k)
+            elif (
+                self._frame - marker.acquired_at < _PROBATION_FRAMES
+                or self._is_due(k)
+                or marker.belief.is_watched(self._frame, _PROBATION_FRAMES)
+            ):
+                checked.append(k)
+        return lost, checked
 
     def _beside(self, marker: MarkerState) -> list[float]:
         """Columns in which other spots of a marker's kind should be [px]."""
@@ -471,9 +489,11 @@ class MarkerTracker:
         assert appearance is not None
         assert gates is not None
         upright = spot
-        if self._shear_of_speed > 0.0:
+        if self._recovery.shear_of_speed > 0.0:
             speed, doubt = marker.motion.speed(spot.u, marker.lost_frames)
-            upright = upright_spot(spot, self._shear_of_speed * speed, self._shear_of_speed * doubt)
+            upright = upright_spot(
+                spot, self._recovery.shear_of_speed * speed, self._recovery.shear_of_speed * doubt
+            )
         reason = self._meter.judge(upright, gates)
         if reason == "ok" and abs(spot.u - predicted) > self.parameters.max_jump_px:
             reason = "ambiguous"
@@ -486,63 +506,42 @@ class MarkerTracker:
             marker.belief.join(marker.path, _JOINED)
         return reason
 
-    def _found(
-        self, image: ImageArray, k: int, spot: Spot | None, reason: Reason, stamp_ns: int
-    ) -> Sight | MarkerMeasurement:
+    def _found(self, frame: Frame, k: int, stamp_ns: int) -> Sight | MarkerMeasurement:
         """Find where a marker's spot is centred; what is not valid is a measurement already."""
-        marker, meter = self._markers[k], self._meter
-        light, appearance = marker.light, marker.appearance
-        if spot is None or reason != "ok" or light is None or appearance is None:
+        marker, spot, reason = self._markers[k], frame.spots.get(k), frame.reasons[k]
+        light, appearance, gates = marker.light, marker.appearance, marker.gates
+        if spot is None or reason != "ok" or light is None or appearance is None or gates is None:
             invalid = self._invalid(marker, reason, stamp_ns, math.nan if spot is None else spot.area)
             if appearance is not None and appearance.frames < _KNOWN_FRAMES:
                 if not marker.belief.is_alone and (path := marker.path) is not None:
                     marker.belief.begin([path, *marker.belief.others])  # one of these is the marker
                 marker.forget()
             return invalid
-        age = self._frame - marker.acquired_at
-        is_new = age < _PROBATION_FRAMES
-        is_fresh = age == 0 or marker.lost_at == self._frame or marker.lost_frames > 0
-        is_due = (self._frame + k) % _CHORES_EVERY_FRAMES == 0
-        is_accompanied = marker.belief.is_watched(self._frame, _PROBATION_FRAMES)
-        row = self._recovery.rows.get(k)
-        if is_fresh or (row is not None and not appearance.is_settled):
-            appearance.is_bounded = meter.is_bounded(image, spot, light.contrast)
-        if is_new and row is not None and (beside := self._company(k, spot, row)) is not None:
-            marker.forget()
-            seen = [spot, *beside] if beside else []
-            marker.belief.begin([SpotPath(((self._frame, other.u),), other.v) for other in seen])
+        is_fresh = (
+            marker.acquired_at == self._frame or marker.lost_at == self._frame or marker.lost_frames > 0
+        )
+        if is_fresh or (k in self._recovery.rows and not appearance.is_settled):
+            appearance.is_bounded = self._meter.is_bounded(frame.image, spot, light.contrast)
+        if self._is_doubted(k, spot):
             return self._invalid(marker, "ambiguous", stamp_ns, spot.area)
-        if self._is_refined:
-            shear, bend = self._within_exposure(marker, spot.u, is_fresh=is_fresh)
-            found = meter.refine(image, spot, light, appearance, shear, bend)
-        else:
-            found = meter.centre(image, spot, light, appearance)
+        way = self._within_exposure(marker, spot.u, is_fresh=is_fresh) if self._is_refined else None
+        found = self._meter.located(frame.image, spot, light, appearance, way)
         if not isinstance(found, DiscFit):
             self._recovery.note_loss(k, self._frame)
             return self._invalid(marker, found, stamp_ns, spot.area)
-        if appearance.frames == 1:
-            was_disc = appearance.is_disc
-            meter.begin(found, appearance)
-            if (
-                was_disc
-                and not appearance.is_disc
-                and isinstance(other := meter.centre(image, spot, light, appearance), DiscFit)
-            ):
-                found = other
-                meter.begin(found, appearance)
-        is_lit = is_due and not is_accompanied
-        return Sight(marker, light, appearance, spot, found, is_fresh, is_lit, is_due)
+        is_due = self._is_due(k)
+        is_lit = is_due and not marker.belief.is_watched(self._frame, _PROBATION_FRAMES)
+        return Sight(marker, light, appearance, gates, spot, found, is_fresh, is_lit, is_due)
 
-    def _within_exposure(
-        self, marker: MarkerState, u: float, *, is_fresh: bool
-    ) -> tuple[float | None, float]:
-        """Shear and bend that a marker's motion makes of its image, as in ``DiscModel.fit`` [px/px, px]."""
-        shear, bend = None, math.inf
+    def _within_exposure(self, marker: MarkerState, u: float, *, is_fresh: bool) -> Way:
+        """What a marker's motion during the exposure makes of its image."""
+        shear: float | None = None
+        bend = math.inf
         if self._row_delay_s > 0.0:
             speed, doubt = (
                 (0.0, self.parameters.max_gate_px) if is_fresh else marker.motion.speed(u, marker.lost_frames)
             )
-            shear = self._shear_of_speed * (abs(speed) + doubt)
+            shear = self._recovery.shear_of_speed * (abs(speed) + doubt)
         if not is_fresh and marker.motion.steps > 1:
             bend = marker.motion.turn(u) * (self._exposed_s / self._since_s) ** 2 / 2
         return shear, bend
@@ -552,8 +551,7 @@ class MarkerTracker:
         marker, appearance = sight.marker, sight.appearance
         if marker.motion.is_pulled or not appearance.is_settled:
             return False
-        exposed = self._exposed_s / self._since_s
-        return is_explained(sight.found, appearance, self._step(sight), exposed)
+        return is_explained(sight.found, appearance, self._step(sight), self._exposed_s / self._since_s)
 
     @staticmethod
     def _step(sight: Sight) -> float:
@@ -562,7 +560,7 @@ class MarkerTracker:
 
     def _sighting(self, sight: Sight) -> Sighting:
         """What a marker shows of a second image."""
-        marker, _, appearance, spot, found, _, _, _ = sight
+        marker, appearance, spot, found = sight.marker, sight.appearance, sight.spot, sight.found
         is_known = marker.lost_frames == 0 and marker.acquired_at < self._frame
         motion = marker.motion
         step = spot.u - motion.u - motion.behind if is_known else math.nan
@@ -574,19 +572,18 @@ class MarkerTracker:
 
     def _result(self, image: ImageArray, sight: Sight, pull: Pull, stamp_ns: int) -> MarkerMeasurement:
         """State where a marker is, and carry it into what is known of it."""
-        marker, light, appearance, spot, found, is_fresh, is_lit, is_due = sight
+        marker, light, appearance, gates, spot, found, is_fresh, is_lit, is_due = sight
         meter, own = self._meter, marker.motion
         smear, pull_px, own.is_pulled, own.behind = pull
         v, is_believed = spot.v, pull_px < math.inf
-        gates, ground, plateau = marker.gates, light.background, spot.plateau
-        if gates is not None and spot.variance_u > gates.plain_u:
-            plateau = ground + (plateau - ground) / meter.lit_share(spot, gates)
+        ground = light.background
+        plateau = ground + (spot.plateau - ground) / meter.lit_share(spot, gates)
         own.remember(spot.u, v, self._frame, is_fresh=is_fresh)
         if is_fresh:
             marker.lost_frames = 0
         appearance.row = v
         uneven_px = 0.0
-        if gates is not None and appearance.frames >= _KNOWN_FRAMES:
+        if appearance.frames >= _KNOWN_FRAMES:
             uneven_px = meter.uneven_pull(spot, gates, appearance, found.sigma_u)
         if is_believed and not appearance.is_settled:
             meter.settle(spot, light, appearance, found, smear)
@@ -611,9 +608,11 @@ class MarkerTracker:
         )
         return MarkerMeasurement(found.u, found.v, sigma, True, "ok", stamp_ns, light.contrast, spot.area)
 
-    def _company(self, k: int, spot: Spot, row: RowSpots) -> list[Spot] | None:
-        """Spots of its kind beside a marker that was just acquired, where something is new there; None where not."""
-        marker, reach = self._markers[k], self.parameters.max_gate_px
+    def _is_doubted(self, k: int, spot: Spot) -> bool:
+        """Take back a marker that was just acquired, where something is new beside it: it may be the marker, too."""
+        marker, row, reach = self._markers[k], self._recovery.rows.get(k), self.parameters.max_gate_px
+        if row is None or self._frame - marker.acquired_at >= _PROBATION_FRAMES:
+            return False
         known = [thing.u for thing in self._acquisition.clutter[k]]
         known += [path.predicted(self._frame)[0] for path in marker.belief.others if len(path.places) > 1]
         alike = [other for other, _ in row.alike if abs(other.u - spot.u) > self._meter.radius]
@@ -621,4 +620,8 @@ class MarkerTracker:
             abs(u - spot.u) <= reach and all(abs(u - thing) > SAME_PLACE_PX for thing in known)
             for u in [*(other.u for other in alike), *(u for u, _ in row.others)]
         )
-        return alike if is_new else None
+        if is_new:
+            marker.forget()
+            seen = [spot, *alike] if alike else []
+            marker.belief.begin([SpotPath(((self._frame, other.u),), other.v) for other in seen])
+        return is_new
