@@ -79,6 +79,13 @@ def _qos_of_text(text: str) -> tuple[QualityOfService, ...] | None:
         return None
 
 
+@lru_cache(maxsize=4)
+def _file_names_of(text: str) -> tuple[str, ...]:
+    """Return the storage files that one text names: a bag is opened several times in a run."""
+    names = YAML(typ="safe").load(text)["rosbag2_bagfile_information"]["relative_file_paths"]
+    return tuple(PurePath(str(name)).name for name in names)
+
+
 def _qos_of(profiles: Any) -> tuple[QualityOfService, ...] | None:
     try:
         # Names since metadata version 9, rmw's numbers before.
@@ -116,9 +123,7 @@ def read_topics(path: Path) -> tuple[TopicRecord, ...]:
 def read_file_names(path: AnyPath) -> tuple[str, ...]:
     """Return the storage files that a bag's ``metadata.yaml`` names, in its order; none where it cannot be read."""
     try:
-        content = YAML(typ="safe").load(path.read_text(encoding="utf-8"))
-        names = content["rosbag2_bagfile_information"]["relative_file_paths"]
-        return tuple(PurePath(str(name)).name for name in names)
+        return _file_names_of(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, YAMLError, TypeError, KeyError, ValueError):
         return ()
 

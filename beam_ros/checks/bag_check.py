@@ -32,7 +32,7 @@ from beam_ros.errors import ParameterFileError
 from beam_ros.excitation.recipes import recipe_of_rig
 from beam_ros.files.formats import is_column_file
 from beam_ros.offline.loading.described_rig import theoretical_modes
-from beam_ros.offline.loading.experiment import Experiment, load_experiment
+from beam_ros.offline.loading.experiment import Experiment, experiment_of, load_experiment
 from beam_ros.offline.loading.options import FitOptions
 from beam_ros.process.remote_paths import AnyPath
 from beam_ros.rig.rig import Rig
@@ -50,11 +50,18 @@ class BagCheck:
     path : Path or RemotePath -- the bag
     gates : tuple of Gate
     notes : tuple of str -- what was said while it was read
+    experiment : Experiment or None -- what was read, None where nothing can be identified
     """
 
     path: AnyPath
     gates: tuple[Gate, ...]
     notes: tuple[str, ...] = ()
+    experiment: Experiment | None = None
+
+    @property
+    def looked(self) -> tuple[tuple[Gate, ...], Experiment | None]:
+        """The gates and what was read, for an identification that follows."""
+        return self.gates, self.experiment
 
     @property
     def can_be_identified(self) -> bool:
@@ -123,11 +130,12 @@ def check_bag(
         if is_column_file(path):
             experiment = load_experiment(path, rig, options.structure, options, start_s=start_s, end_s=end_s)
             gates.append(Gate("file", "passed", "every row has its time", "rows in the order of their times"))
-            return BagCheck(path, (*gates, *_gates(None, experiment, options)), experiment.notes)
+            gates += _gates(None, experiment, options)
+            return BagCheck(path, tuple(gates), experiment.notes, experiment)
         with Bag(path, start_s=start_s, end_s=end_s) as bag:
             damage = list(bag.damage())
             gates.append(_file_gate(damage, path))
-            experiment = load_experiment(path, rig, options.structure, options, start_s=start_s, end_s=end_s)
+            experiment = experiment_of(bag, rig, options.structure, options)
             gates += _gates(bag, experiment, options)
     except (BagNotFoundError, NotABagError):
         raise
@@ -140,7 +148,7 @@ def check_bag(
         )
         gates.append(Gate("content", "failed", str(err), "input and outputs that overlap in time", remedy))
         return BagCheck(path, tuple(gates))
-    return BagCheck(path, tuple(gates), experiment.notes)
+    return BagCheck(path, tuple(gates), experiment.notes, experiment)
 
 
 def _file_gate(damage: list[str], path: AnyPath) -> Gate:

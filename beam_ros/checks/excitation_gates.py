@@ -144,11 +144,17 @@ def mode_gates(
     except IdentificationError as err:
         yield Gate("resolution", "failed", str(err), "a record that can be fitted", "record longer")
         return
-    rows = list(zip(hertz[shown], zetas[shown], found.omega_sd, found.zeta_sd, strict=True))
-    is_any_known = any(float(omega_sd) < 2.0 * math.pi * zeta * f for f, zeta, omega_sd, _ in rows)
-    for f, zeta, omega_sd, zeta_sd in rows:
+    sd_hz = np.asarray(found.omega_sd) / (2.0 * math.pi)
+    yield from _precision_gates(hertz[shown], zetas[shown], sd_hz, np.asarray(found.zeta_sd), step_hz)
+
+
+def _precision_gates(
+    hertz: FloatArray, zetas: FloatArray, sds_hz: FloatArray, zeta_sds: FloatArray, step_hz: float
+) -> Iterator[Gate]:
+    """Judge modes by the precision that the best estimator would reach, beside their half-power bands."""
+    is_any_known = bool(np.any(sds_hz < zetas * hertz))
+    for f, zeta, sd_hz, zeta_sd in zip(hertz, zetas, sds_hz, zeta_sds, strict=True):
         width = 2.0 * zeta * f
-        sd_hz = float(omega_sd) / (2.0 * math.pi)
         figure = f"half-power band of {width:.3g} Hz with {width / step_hz:.2g} lines; "
         figure += (
             f"frequency to {sd_hz:.2g} Hz, damping ratio to {100.0 * float(zeta_sd / zeta):.2g} % of it at best"
@@ -157,13 +163,7 @@ def mode_gates(
         )
         is_known = sd_hz < 0.5 * width and zeta_sd < 0.5 * zeta
         verdict: Verdict = "passed" if is_known else "doubtful" if is_any_known else "failed"
-        yield Gate(
-            f"mode at {f:.3g} Hz",
-            verdict,
-            figure,
-            _KNOWN_MODE,
-            "" if is_known else _EXCITE_MORE,
-        )
+        yield Gate(f"mode at {f:.3g} Hz", verdict, figure, _KNOWN_MODE, "" if is_known else _EXCITE_MORE)
 
 
 def _folded_modes(hertz: FloatArray, band: Band) -> Iterator[Gate]:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import contextlib
 import threading
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,7 +18,7 @@ from beam_ros.process.remote_paths import AnyPath
 from beam_ros.shell.node import RigNode, run_node
 
 if TYPE_CHECKING:
-    from beam_ident.report.gates import Gate
+    from beam_ros.offline.identification import Looked
     from beam_ros.offline.loading.options import FitOptions
 
 _COLLECT_S = 0.1
@@ -70,9 +69,9 @@ class Identifier(RigNode):
 
             checks: list[BagCheck] = []
 
-            def check(path: AnyPath, options: FitOptions) -> Sequence[Gate]:
+            def check(path: AnyPath, options: FitOptions) -> Looked:
                 checks.append(check_bag(path, None, options))
-                return checks[-1].gates
+                return checks[-1].looked
 
             outcome = identify_told(settings, progress=self._on_progress, checked=check)
             self._outcome = {**outcome, "checks": [own.to_dict() for own in checks]}

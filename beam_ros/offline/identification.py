@@ -51,12 +51,14 @@ from beam_ros.process.strict_json import strict_json
 from beam_ros.rig.rig import Rig
 
 Progress = Callable[[str, float], None]
-Checked = Callable[[AnyPath, FitOptions], Sequence[Gate]]
+Looked = tuple[Sequence[Gate], Experiment | None]
+"""What was looked at in a bag, and what was read of it, None where nothing was."""
+Checked = Callable[[AnyPath, FitOptions], Looked]
 
 
-def nothing_checked(bag: AnyPath, options: FitOptions) -> Sequence[Gate]:
+def nothing_checked(bag: AnyPath, options: FitOptions) -> Looked:
     """Return no gates, where nobody looks at a bag before it is fitted."""
-    return ()
+    return (), None
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,7 +167,9 @@ def identification_of_bags(
     estimator, structure, n_modes : optional -- these options instead of those in ``options``
     validation : Path or sequence of Path, optional -- other bags, on which the model is scored
     start_s, end_s : float, optional -- only what lies between these times after the first message of each bag [s]
-    checked : callable -- called with every bag before anything is fitted; returns what was looked at in it
+    checked : callable
+        Called with every bag before anything is fitted; returns what was looked at in it, and the experiment that
+        it read with the same rig, options and times, which is not read again.
     temperature_k : float, optional -- standard uncertainty of the beam's temperature [K]
     progress : callable -- called with a phrase and the share done
 
@@ -181,68 +185,33 @@ def identification_of_bags(
         n_modes=n_modes or options.n_modes,
     )
     find_estimator(options.estimator)
-    beside_axis = _beside_axis(_several(path), options) if options.axis else options
-    gates = [gate for one in _several(path) for gate in checked(one, options)]
-    options = beside_axis
+    given = _several(path)
+    beside_axis = _beside_axis(given, options) if options.axis else options
+    looked = [checked(one, options) for one in given]
+    gates = [gate for own, _ in looked for gate in own]
     experiments = [
-        load_experiment(one, rig, options.structure, options, start_s=start_s, end_s=end_s)
-        for one in _several(path)
+        read
+        if read is not None and beside_axis == options
+        else load_experiment(one, rig, beside_axis.structure, beside_axis, start_s=start_s, end_s=end_s)
+        for one, (_, read) in zip(given, looked, strict=True)
     ]
+    options = beside_axis
     whole = replace(options, segments=())
     unseen = [load_experiment(one, rig, options.structure, whole) for one in _several(validation)]
-    experiment = experiments[0]
-    for other in (*experiments[1:], *unseen):
-        if other.structure != experiment.structure:
-            raise UsageError(
-                f"{experiment.path} shows {experiment.structure} and {other.path} {other.structure}; expected bags "
-                "of one kind of drive, or a structure that fits all with --structure"
-            )
-    refuse_shared([(one.path, one.record) for one in experiments], [(one.path, one.record) for one in unseen])
+    _refuse_mixed(experiments, unseen)
     # Before the fit: bags that are no realisations are refused at once.
     best_linear = best_linear_of(experiments) if options.best_linear else None
-    settings = replace(
-        options.settings(experiment.structure, experiment.clock_rate, experiment.latency), progress=progress
-    )
-    records = [record for one in experiments for record in one.records]
-    try:
-        result = run_estimator(options.estimator, records, settings)
-    except IdentificationError as err:
-        notes = [note for one in experiments for note in one.notes]
-        if not notes:
-            raise
-        raise type(err)(f"{err}. Of the bag: {'; '.join(notes)}") from err
-    models, is_simulated = models_of(result), all(one.apparatus.is_simulated for one in experiments)
+    result = _fitted(experiments, options, progress)
+    experiment, models = experiments[0], models_of(result)
+    is_simulated = all(one.apparatus.is_simulated for one in experiments)
     sources = error_sources(experiment.structure, models, temperature_k, is_simulated)
     modes = tuple(mode_rows(models, sources))
     theory = agreement = None
     if experiment.rig is not None and modes:
         theory = theory_of_rig(experiment.rig, experiment.structure, is_simulated, temperature_k)
         agreement = beside_theory(modes, theory)
-    content = describe(experiments, options.estimator, result, modes, agreement)
     seen = tuple((one, _validated(one, result)) for one in unseen)
-    if seen:
-        content["validation"] = [
-            {"bag": str(one.path), "scores": validation_scores(results)} for one, results in seen
-        ]
-    unseen_parts = [Unseen(one.path.name, results) for one, results in seen]
-    verdict = judge(result, gates, unseen_parts, agreement)
-    content["verdict"] = {"tone": verdict.tone, "text": verdict.text, "reasons": list(verdict.reasons)}
-    found_linear = None
-    if isinstance(result, IdentificationResult) and result.model.n_modes:
-        found_linear = linearity(records, result.model)
-        content["linearity"] = found_linear.to_dict()
-    curves = None
-    if options.amplitude:
-        progress("curves over amplitude", 0.0)
-        curves = _over_amplitude(records, result, found_linear)
-        content["amplitude"] = curves.to_dict()
-    if best_linear is not None:
-        content["best_linear"] = best_linear.to_dict()
-    axis = None
-    if options.axis:
-        progress("the axis", 0.0)
-        axis = _axis_of(experiments, options, content)
-    return IdentificationOutcome(
+    outcome = IdentificationOutcome(
         experiments=tuple(experiments),
         options=options,
         result=result,
@@ -252,12 +221,76 @@ def identification_of_bags(
         agreement=agreement,
         sources=sources,
         gates=tuple(gates),
-        content=content,
-        curves=curves,
+        content=_content(experiments, options, result, modes, agreement, seen, gates),
         best_linear=best_linear,
-        linearity=found_linear,
-        axis=axis,
     )
+    return _with_further_looks(outcome, progress)
+
+
+def _refuse_mixed(experiments: Sequence[Experiment], unseen: Sequence[Experiment]) -> None:
+    """Refuse bags of several kinds of drive, and data that are both fitted and unseen."""
+    experiment = experiments[0]
+    for other in (*experiments[1:], *unseen):
+        if other.structure != experiment.structure:
+            raise UsageError(
+                f"{experiment.path} shows {experiment.structure} and {other.path} {other.structure}; expected bags "
+                "of one kind of drive, or a structure that fits all with --structure"
+            )
+    refuse_shared([(one.path, one.record) for one in experiments], [(one.path, one.record) for one in unseen])
+
+
+def _fitted(experiments: Sequence[Experiment], options: FitOptions, progress: Progress) -> Result:
+    """Return what the estimator finds; where it finds nothing, the error says what was noted of the bags."""
+    experiment = experiments[0]
+    settings = options.settings(experiment.structure, experiment.clock_rate, experiment.latency)
+    records = [record for one in experiments for record in one.records]
+    try:
+        return run_estimator(options.estimator, records, replace(settings, progress=progress))
+    except IdentificationError as err:
+        notes = [note for one in experiments for note in one.notes]
+        if not notes:
+            raise
+        raise type(err)(f"{err}. Of the bag: {'; '.join(notes)}") from err
+
+
+def _content(
+    experiments: Sequence[Experiment],
+    options: FitOptions,
+    result: Result,
+    modes: Sequence[ModeRow],
+    agreement: Agreement | None,
+    seen: Sequence[tuple[Experiment, tuple[ValidationResult, ...]]],
+    gates: Sequence[Gate],
+) -> dict[str, Any]:
+    """Return an identification in plain numbers, with its validation and the verdict on it."""
+    content = describe(experiments, options.estimator, result, modes, agreement)
+    if seen:
+        content["validation"] = [
+            {"bag": str(one.path), "scores": validation_scores(results)} for one, results in seen
+        ]
+    verdict = judge(result, gates, [Unseen(one.path.name, results) for one, results in seen], agreement)
+    content["verdict"] = {"tone": verdict.tone, "text": verdict.text, "reasons": list(verdict.reasons)}
+    return content
+
+
+def _with_further_looks(found: IdentificationOutcome, progress: Progress) -> IdentificationOutcome:
+    """Return an identification with what else was asked of its records, in numbers too."""
+    options, result, content = found.options, found.result, dict(found.content)
+    records = [record for one in found.experiments for record in one.records]
+    found_linear = curves = axis = None
+    if isinstance(result, IdentificationResult) and result.model.n_modes:
+        found_linear = linearity(records, result.model)
+        content["linearity"] = found_linear.to_dict()
+    if options.amplitude:
+        progress("curves over amplitude", 0.0)
+        curves = _over_amplitude(records, result, found_linear)
+        content["amplitude"] = curves.to_dict()
+    if found.best_linear is not None:
+        content["best_linear"] = found.best_linear.to_dict()
+    if options.axis:
+        progress("the axis", 0.0)
+        axis = _axis_of(found.experiments, options, content)
+    return replace(found, content=content, curves=curves, linearity=found_linear, axis=axis)
 
 
 def _beside_axis(paths: Sequence[AnyPath], options: FitOptions) -> FitOptions:

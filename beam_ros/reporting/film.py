@@ -12,7 +12,6 @@ from beam_ident.report.evidence import fitted_outputs
 from beam_ros.arrays import ImageArray
 from beam_ros.bags.reading import Bag
 from beam_ros.errors import RigUnavailableError
-from beam_ros.files.formats import is_column_file
 from beam_ros.offline.identification import IdentificationOutcome
 
 IMAGES = "camera/image_raw"
@@ -49,18 +48,16 @@ def write_film(
     """
     experiment = outcome.experiment
     outputs = fitted_outputs(outcome.result, experiment.record)
+    n_frames = min(experiment.n_frames, _MAX_FRAMES)
+    if not n_frames or not outputs or experiment.rig is None:
+        return ""
     try:
         import cv2
 
         from beam_ros.vision.camera.image_messages import read_image
     except ImportError:
         return ""
-    if experiment.rig is None or is_column_file(experiment.path):
-        return ""
     with Bag(experiment.path) as bag:
-        n_frames = min(bag.count(IMAGES), _MAX_FRAMES)
-        if not n_frames or not outputs:
-            return ""
         camera = experiment.rig.camera_parameters()
         heights = dict(zip(experiment.rig.markers.names, experiment.rig.markers.heights, strict=True))
         step_s = float(np.median(np.diff(outputs[0].times_s)))

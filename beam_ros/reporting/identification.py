@@ -81,7 +81,7 @@ def identify_told(
     settings : IdentifierSettings
     rig : Rig, optional -- None: as the bags say
     progress : callable -- called with a phrase and the share done
-    checked : callable -- called with every bag before anything is fitted; returns the gates for the report
+    checked : callable -- called with every bag before anything is fitted, as by ``identification_of_bags``
     start_s, end_s : float, optional -- only what lies between these times after the first message of each bag [s]
 
     Returns

@@ -60,7 +60,7 @@ def by_the_core(rig: Rig, folder: Path) -> dict[str, Any]:
         result = identify_told(
             rig.identifier,
             progress=lambda phrase, share: stage.update(share, phrase),
-            checked=lambda path, options: check_bag(path, None, options).gates,
+            checked=lambda path, options: check_bag(path, None, options).looked,
         )
         stage.finish(f"{len(result['modes'])} modes from {', '.join(result['outputs'])}")
     return result

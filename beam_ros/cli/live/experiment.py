@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
 from datetime import datetime, timezone
 from functools import partial
 from pathlib import Path
@@ -26,11 +25,10 @@ from beam_ros.process.progress import Progress
 from beam_ros.process.strict_json import strict_json
 
 if TYPE_CHECKING:
-    from beam_ident.report.gates import Gate
     from beam_ros.excitation.shaping import MoveOrder
     from beam_ros.experiments.plan import Plan
     from beam_ros.experiments.steps import Means, Record, Report
-    from beam_ros.offline.identification import IdentificationOutcome
+    from beam_ros.offline.identification import IdentificationOutcome, Looked
     from beam_ros.offline.loading.options import FitOptions
     from beam_ros.process.remote_paths import AnyPath
     from beam_ros.rig.rig import Rig
@@ -200,10 +198,10 @@ def _report(found: IdentificationOutcome, folder: Path, *, made: str) -> None:
     report_identification(found, folder, made=made)
 
 
-def _check(bag: AnyPath, options: FitOptions) -> Sequence[Gate]:
-    from beam_ros.checks.bag_check import gates_of_bag
+def _check(bag: AnyPath, options: FitOptions) -> Looked:
+    from beam_ros.checks.bag_check import check_bag
 
-    return gates_of_bag(bag, None, options)
+    return check_bag(bag, None, options).looked
 
 
 def _means(plan: Plan, folder: Path) -> Means:

@@ -25,7 +25,7 @@ from beam_ros.process.strict_json import strict_json
 from beam_ros.rig.rig import Rig
 
 if TYPE_CHECKING:
-    from beam_ident.report.gates import Gate
+    from beam_ros.offline.identification import Looked
     from beam_ros.offline.loading.options import FitOptions
 
 _GROUP = "identifier"
@@ -133,7 +133,7 @@ def run(arguments: argparse.Namespace) -> int:
         return 0
     checks: list[BagCheck] = []
 
-    def check(path: AnyPath, options: FitOptions) -> Sequence[Gate]:
+    def check(path: AnyPath, options: FitOptions) -> Looked:
         stage.update(0.0, f"checking {path}")
         checks.append(check_bag(path, rig, options, start_s=start_s, end_s=end_s))
         # Said before the fit, which may fail for just these reasons.
@@ -141,7 +141,7 @@ def run(arguments: argparse.Namespace) -> int:
             if gate.verdict in ("failed", "doubtful"):
                 said = f"{gate.verdict}: {gate.name}: {gate.figure}; {gate.remedy}"
                 print(said, file=sys.stderr if arguments.json else sys.stdout, flush=True)
-        return checks[-1].gates
+        return checks[-1].looked
 
     start_s, end_s = read_span(arguments)
     with Progress("identify", 1.0) as stage:

@@ -61,6 +61,7 @@ class Experiment:
     latency : Prior or None -- what is known of the time by which outputs are late; None: what is usual
     late_s : float -- what was taken off the markers' stamps already, because they were late by more than a fit finds
     apparatus : Apparatus -- whether a beam was measured or simulated, and whether its date is one
+    n_frames : int -- images of the camera in the bag
     """
 
     path: AnyPath
@@ -74,6 +75,7 @@ class Experiment:
     latency: Prior | None = None
     late_s: float = 0.0
     apparatus: Apparatus = MEASURED
+    n_frames: int = 0
 
     @property
     def records(self) -> tuple[TimeRecord, ...]:
@@ -181,6 +183,7 @@ def experiment_of(
         latency=None if drive.is_hub or shares_clock else Prior(0.0, math.inf),
         late_s=late.late_s if late else 0.0,
         apparatus=apparatus,
+        n_frames=bag.count("camera/image_raw"),
     )
 
 

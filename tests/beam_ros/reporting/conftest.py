@@ -33,5 +33,5 @@ def second_bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def outcome(bag: Path, second_bag: Path) -> IdentificationOutcome:
     gates = [Gate("clock", "passed", "2 us", "below 50 us")]
     return identification_of_bags(
-        bag, validation=second_bag, checked=lambda bag, options: gates, temperature_k=1.5
+        bag, validation=second_bag, checked=lambda bag, options: (gates, None), temperature_k=1.5
     )
