@@ -27,7 +27,7 @@ QUESTIONS = (
     ("I have a CSV file and no rig", ("files.md",), "--input force_N"),
     ("may a stranger see my rig's page", ("view.md",), "holds a token"),
     ("how is the uncertainty of a position found", ("camera-likelihood.md",), "Cramér–Rao bound"),
-    ("is it faster than other packages", ("measured/index.md", "measured/identification-peers.md"), "SIPPY"),
+    ("is it faster than other packages", ("measured/index.md", "measured/peers.md"), "SIPPY"),
 )
 
 
