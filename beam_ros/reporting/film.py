@@ -13,7 +13,7 @@ from beam_ros.arrays import ImageArray
 from beam_ros.bags.reading import Bag
 from beam_ros.errors import RigUnavailableError
 from beam_ros.files.formats import is_column_file
-from beam_ros.offline.identification import IdentificationOutcome
+from beam_ros.offline.identification_summary import IdentificationOutcome
 
 IMAGES = "camera/image_raw"
 _MAX_FRAMES = 1500
