@@ -163,19 +163,20 @@ def _shown_modes(
     except IdentificationError as err:
         yield Gate("resolution", "failed", str(err), "a record that can be fitted", "record longer")
         return
-    is_any_known = bool(np.any(found.omega_sd < zetas * omegas))
-    for f, zeta, width, sd_hz, zeta_sd in zip(
-        hertz, zetas, widths, found.omega_sd / (2.0 * math.pi), found.zeta_sd, strict=True
-    ):
+    sds_hz = found.omega_sd / (2.0 * math.pi)
+    is_seen = np.isfinite(sds_hz) & (found.zeta_sd < zetas)
+    is_known = (sds_hz < zetas * hertz) & (found.zeta_sd < 0.5 * zetas)
+    otherwise: Verdict = "doubtful" if np.any(found.omega_sd < zetas * omegas) else "failed"
+    for k, f in enumerate(hertz):
+        share = 100.0 * float(found.zeta_sd[k] / zetas[k])
         figure = (
-            f"frequency to {sd_hz:.2g} Hz, damping ratio to {100.0 * float(zeta_sd / zeta):.2g} % of it at best"
-            if math.isfinite(sd_hz) and zeta_sd < zeta
+            f"frequency to {sds_hz[k]:.2g} Hz, damping ratio to {share:.2g} % of it at best"
+            if is_seen[k]
             else "no output shows it above its noise"
         )
-        is_known = sd_hz < zeta * f and zeta_sd < 0.5 * zeta
-        verdict: Verdict = "passed" if is_known else "doubtful" if is_any_known else "failed"
-        remedy = "" if is_known else _EXCITE_MORE
-        yield Gate(f"mode at {f:.3g} Hz", verdict, width + figure, _KNOWN_MODE, remedy)
+        verdict: Verdict = "passed" if is_known[k] else otherwise
+        remedy = "" if is_known[k] else _EXCITE_MORE
+        yield Gate(f"mode at {f:.3g} Hz", verdict, widths[k] + figure, _KNOWN_MODE, remedy)
 
 
 def _folded_modes(hertz: FloatArray, band: Band) -> Iterator[Gate]:

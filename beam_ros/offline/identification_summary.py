@@ -141,15 +141,10 @@ def _described(found: IdentificationOutcome) -> dict[str, Any]:
         content["misfit"] = result.misfit.chi_squared / result.misfit.expected
     if isinstance(result, SeparateOutputsResult) and result.tables:
         content["orders"] = list(result.tables)
-    notes = [
-        note if len(experiments) == 1 else f"{one.path.name}: {note}"
-        for one in experiments
-        for note in one.notes
-    ]
     content |= {
         "converged": result.converged,
         "warnings": list(result.warnings),
-        "notes": [*notes, *found.axis_notes],
+        "notes": [*_notes(experiments), *found.axis_notes],
     }
     if found.unseen:
         content["validation"] = [
@@ -167,6 +162,16 @@ def _described(found: IdentificationOutcome) -> dict[str, Any]:
     if found.axis is not None and experiment.rig is not None:
         content["rig_values"] = rig_values(found.axis, experiment.rig)
     return content
+
+
+def _notes(experiments: Sequence[Experiment]) -> list[str]:
+    """Return what a reader should know of the data, of several bags with the name of each."""
+    named = (
+        [(f"{one.path.name}: ", one) for one in experiments]
+        if len(experiments) > 1
+        else [("", experiments[0])]
+    )
+    return [f"{name}{note}" for name, one in named for note in one.notes]
 
 
 def _modes(result: Result, modes: Sequence[ModeRow], agreement: Agreement | None) -> list[dict[str, Any]]:
