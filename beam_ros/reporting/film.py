@@ -14,11 +14,10 @@ from beam_ident.report.evidence import fitted_outputs
 from beam_ros.arrays import ImageArray
 from beam_ros.bags.reading import Bag
 from beam_ros.errors import RigUnavailableError
-from beam_ros.files.formats import is_column_file
 from beam_ros.offline.identification_summary import IdentificationOutcome
+from beam_ros.offline.loading.experiment import IMAGES
 from beam_ros.rig.rig import Rig
 
-IMAGES = "camera/image_raw"
 _MAX_FRAMES = 1500
 _SHOWN_RATE = 25.0  # frames a second that a person follows
 _WIDE = 200  # pixels from which the time stands in a corner
@@ -52,16 +51,14 @@ def write_film(
     """
     experiment = outcome.experiment
     outputs = fitted_outputs(outcome.result, experiment.record)
-    if experiment.rig is None or is_column_file(experiment.path) or not outputs:
+    n_frames = min(experiment.n_images, _MAX_FRAMES)
+    if experiment.rig is None or not n_frames or not outputs:
+        return ""
+    try:  # here: few bags have images
+        from beam_ros.vision.camera.image_messages import read_image
+    except ImportError:
         return ""
     with Bag(experiment.path) as bag:
-        n_frames = min(bag.count(IMAGES), _MAX_FRAMES)
-        if not n_frames:
-            return ""
-        try:  # here: few bags have images
-            from beam_ros.vision.camera.image_messages import read_image
-        except ImportError:
-            return ""
         step_s = float(np.median(np.diff(outputs[0].times_s)))
         rate = min(_SHOWN_RATE, 1.0 / step_s)
         predicted = _Predicted(experiment.rig, outputs, step_s)

@@ -35,6 +35,7 @@ from beam_ros.signals.file_columns import read_file_signals
 from beam_ros.signals.records import SensorOutput, input_signal, output_signal, records_of_one_model
 from beam_ros.signals.stray_stamps import well_placed
 
+IMAGES = "camera/image_raw"
 VIDEO_TOPIC = "tracker/video"
 """String topic on which ``beam track`` says how a video's frames came into the bag: JSON."""
 _LEAD_S = 0.3
@@ -61,6 +62,7 @@ class Experiment:
     latency : Prior or None -- what is known of the time by which outputs are late; None: what is usual
     late_s : float -- what was taken off the markers' stamps already, because they were late by more than a fit finds
     apparatus : Apparatus -- whether a beam was measured or simulated, and whether its date is one
+    n_images : int -- frames in the bag
     """
 
     path: AnyPath
@@ -74,6 +76,7 @@ class Experiment:
     latency: Prior | None = None
     late_s: float = 0.0
     apparatus: Apparatus = MEASURED
+    n_images: int = 0
 
     @property
     def records(self) -> tuple[TimeRecord, ...]:
@@ -161,6 +164,7 @@ def experiment_of(
         latency=None if drive.is_hub or shares_clock else Prior(0.0, math.inf),
         late_s=late.late_s if late else 0.0,
         apparatus=apparatus,
+        n_images=bag.count(IMAGES),
     )
 
 
