@@ -22,7 +22,7 @@ from beam_ros.bags.reading import Bag
 from beam_ros.bags.writing import BagWriter
 from beam_ros.interfaces.graph import JOINT_STATE
 from beam_ros.messages import BagTypes
-from beam_ros.offline.identification import identify_bag
+from beam_ros.offline.identification import identification_of_bags
 from beam_ros.offline.simulation import simulate
 from beam_ros.rig.rig import Rig
 
@@ -129,7 +129,7 @@ def truth_of(rig: Rig) -> dict[str, Any]:
 
 def found_in(path: Path) -> dict[str, Any]:
     """Return what `beam identify` finds in a recording: poles with standard deviations, the FIT of outputs."""
-    found = identify_bag(path)
+    found = identification_of_bags(path).content
     names = ("frequency_hz", "frequency_sd_hz", "damping_ratio", "damping_ratio_sd")
     return {
         "modes": [{name: float(f"{mode[name]:.9g}") for name in names} for mode in found["modes"]],

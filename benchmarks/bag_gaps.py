@@ -33,7 +33,7 @@ from beam_ident import IdentificationError
 from beam_ros.bags.reading import Bag
 from beam_ros.bags.writing import BagWriter
 from beam_ros.errors import UsageError
-from beam_ros.offline.identification import identify_bag
+from beam_ros.offline.identification import identification_of_bags
 from beam_ros.offline.simulation import simulate
 from beam_ros.rig.rig import Rig
 
@@ -178,7 +178,7 @@ class Whole:
         simulate(rig, folder / "whole")
         with Bag(folder / "whole") as bag:
             self._messages = [(own.topic.lstrip("/"), own.receive_ns, own.data) for own in bag.raw_messages()]
-        self.content = identify_bag(folder / "whole")
+        self.content = identification_of_bags(folder / "whole").content
         topics = [topic for topic, _, _ in self._messages]
         self.counts = {topic: topics.count(topic) for topic in (*HUB, FRAMES)}
         # Before the excitation begins nothing is used.
@@ -200,7 +200,7 @@ class Whole:
         """Identify a copy."""
         path, start = self.without(lost, number), time.perf_counter()
         try:
-            content = identify_bag(path)
+            content = identification_of_bags(path).content
         except (IdentificationError, UsageError) as err:
             is_named = "gap" in str(err) or "frames" in str(err)
             return Told(self.name, loss, 0, (), (), is_named, str(err), time.perf_counter() - start)

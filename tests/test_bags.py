@@ -15,7 +15,7 @@ import pytest
 from beam_ident import fit_free_decay
 from beam_ros.bags.reading import Bag
 from beam_ros.messages import BagTypes
-from beam_ros.offline.identification import identify_bag
+from beam_ros.offline.identification import identification_of_bags
 from beam_ros.offline.loading.described_rig import described_rig
 from beam_ros.offline.loading.experiment import load_experiment
 from beam_ros.rig.rig import Rig
@@ -49,7 +49,7 @@ def test_every_recording_is_expected_described_and_made_by_the_script(script: Mo
 @pytest.mark.parametrize("name", RECORDINGS)
 def test_a_recording_identifies_as_its_truth_and_as_expected(name: str) -> None:
     truth, expected = EXPECTED[name]["truth"], EXPECTED[name]["identified"]
-    result = identify_bag(FOLDER / name)
+    result = identification_of_bags(FOLDER / name).content
     assert result["converged"]
     assert len(result["modes"]) == len(expected["modes"]) >= 2
     for k, (mode, stated) in enumerate(zip(result["modes"], expected["modes"], strict=True)):

@@ -31,6 +31,15 @@ class Gate:
     expected: str
     remedy: str = ""
 
+    @staticmethod
+    def judged(name: str, is_good: bool, figure: str, expected: str, remedy: str) -> Gate:
+        """Return a gate that passed and needs no remedy, or one that is doubtful."""
+        return (
+            Gate(name, "passed", figure, expected)
+            if is_good
+            else Gate(name, "doubtful", figure, expected, remedy)
+        )
+
     def to_dict(self) -> dict[str, str]:
         """Return the gate as plain words, for JSON."""
         return asdict(self)

@@ -119,51 +119,64 @@ def mode_gates(
         return
     if not band.is_excited:
         return
+    yield from _shown_modes(records, structure, omegas[shown], zetas[shown], noise_sd, step_hz, clock_rate_sd)
+
+
+def _shown_modes(
+    records: Sequence[TimeRecord],
+    structure: str,
+    omegas: FloatArray,
+    zetas: FloatArray,
+    noise_sd: Mapping[str, float],
+    step_hz: float,
+    clock_rate_sd: float,
+) -> Iterator[Gate]:
+    """Judge how well the best estimator would know modes in the band, given the outputs whose noise is known."""
     known = {name: sd for name, sd in noise_sd.items() if math.isfinite(sd) and sd > 0.0}
-    telling = [[name for name in record.output_names if name in known] for record in records]
-    if not any(telling):
-        for f, zeta in zip(hertz[shown], zetas[shown], strict=True):
-            lines = 2.0 * zeta * f / step_hz
-            yield Gate(
-                f"mode at {f:.3g} Hz",
-                "not judged",
-                f"half-power band of {2.0 * zeta * f:.3g} Hz with {lines:.2g} lines; how far it stands out of the "
-                "outputs' noise is not known: too many samples are missing. `beam identify` says",
-                _KNOWN_MODE,
-            )
+    telling = [
+        record.select(own)
+        for record in records
+        if (own := [name for name in record.output_names if name in known])
+    ]
+    hertz = omegas / (2.0 * math.pi)
+    widths = [
+        f"half-power band of {2.0 * zeta * f:.3g} Hz with {2.0 * zeta * f / step_hz:.2g} lines; "
+        for f, zeta in zip(hertz, zetas, strict=True)
+    ]
+    if not telling:
+        unknown = (
+            "how far it stands out of the outputs' noise is not known: too many samples are missing. "
+            "`beam identify` says"
+        )
+        for f, width in zip(hertz, widths, strict=True):
+            yield Gate(f"mode at {f:.3g} Hz", "not judged", width + unknown, _KNOWN_MODE)
         return
     try:
         found = predicted_precision(
-            [record.select(own) for record, own in zip(records, telling, strict=True) if own],
+            telling,
             structure,  # type: ignore[arg-type]
-            omegas[shown],
-            zetas[shown],
+            omegas,
+            zetas,
             known,
             clock_rate_sd,
         )
     except IdentificationError as err:
         yield Gate("resolution", "failed", str(err), "a record that can be fitted", "record longer")
         return
-    sd_hz = np.asarray(found.omega_sd) / (2.0 * math.pi)
-    yield from _precision_gates(hertz[shown], zetas[shown], sd_hz, np.asarray(found.zeta_sd), step_hz)
-
-
-def _precision_gates(
-    hertz: FloatArray, zetas: FloatArray, sds_hz: FloatArray, zeta_sds: FloatArray, step_hz: float
-) -> Iterator[Gate]:
-    """Judge modes by the precision that the best estimator would reach, beside their half-power bands."""
-    is_any_known = bool(np.any(sds_hz < zetas * hertz))
-    for f, zeta, sd_hz, zeta_sd in zip(hertz, zetas, sds_hz, zeta_sds, strict=True):
-        width = 2.0 * zeta * f
-        figure = f"half-power band of {width:.3g} Hz with {width / step_hz:.2g} lines; "
-        figure += (
-            f"frequency to {sd_hz:.2g} Hz, damping ratio to {100.0 * float(zeta_sd / zeta):.2g} % of it at best"
-            if math.isfinite(sd_hz) and zeta_sd < zeta
+    sds_hz = found.omega_sd / (2.0 * math.pi)
+    is_seen = np.isfinite(sds_hz) & (found.zeta_sd < zetas)
+    is_known = (sds_hz < zetas * hertz) & (found.zeta_sd < 0.5 * zetas)
+    otherwise: Verdict = "doubtful" if np.any(found.omega_sd < zetas * omegas) else "failed"
+    for k, f in enumerate(hertz):
+        share = 100.0 * float(found.zeta_sd[k] / zetas[k])
+        figure = (
+            f"frequency to {sds_hz[k]:.2g} Hz, damping ratio to {share:.2g} % of it at best"
+            if is_seen[k]
             else "no output shows it above its noise"
         )
-        is_known = sd_hz < 0.5 * width and zeta_sd < 0.5 * zeta
-        verdict: Verdict = "passed" if is_known else "doubtful" if is_any_known else "failed"
-        yield Gate(f"mode at {f:.3g} Hz", verdict, figure, _KNOWN_MODE, "" if is_known else _EXCITE_MORE)
+        verdict: Verdict = "passed" if is_known[k] else otherwise
+        remedy = "" if is_known[k] else _EXCITE_MORE
+        yield Gate(f"mode at {f:.3g} Hz", verdict, widths[k] + figure, _KNOWN_MODE, remedy)
 
 
 def _folded_modes(hertz: FloatArray, band: Band) -> Iterator[Gate]:

@@ -45,10 +45,8 @@ def input_gates(record: TimeRecord, least_noise: float) -> Iterator[Gate]:
         elif math.isinf(least_noise):
             # Nobody knows what the bridges must be held against: what a fit makes of them it says.
             yield Gate(name, "not judged", figure, "bridges known better than the outputs' noise")
-        elif worst > least_noise:
-            yield Gate(name, "doubtful", figure, expected, _RECORD_AGAIN)
         else:
-            yield Gate(name, "passed", figure, expected)
+            yield Gate.judged(name, worst <= least_noise, figure, expected, _RECORD_AGAIN)
 
 
 _RECORD_AGAIN = (
@@ -75,21 +73,16 @@ def loss_gates(outputs: Sequence[OutputSignal]) -> Iterator[Gate]:
         remedy = "see why frames or markers are lost: light, focus, load, distance to the image's border"
         if share > 0.5 or steps[longest] > 0.5 * (times[-1] - times[0]):
             yield Gate(name, "failed", figure, "at least half of the samples", remedy)
-        elif 1.0 - share < 1.0 / _WIDER**2:
-            yield Gate(name, "doubtful", figure, expected, remedy)
         else:
-            yield Gate(name, "passed", figure, expected)
+            yield Gate.judged(name, 1.0 - share >= 1.0 / _WIDER**2, figure, expected, remedy)
 
 
 def damage_gate(record: TimeRecord) -> Gate:
     """Judge whether channels are clipped, stuck, or one another's copy."""
     found = [*clipped_warnings(record.outputs), *damage_warnings(record.outputs, record.inputs)]
     expected = "no samples at an end of the range, stuck or copied"
-    if found:
-        return Gate(
-            "saturation", "doubtful", " ".join(found), expected, "take a wider range, or mend the channel"
-        )
-    return Gate("saturation", "passed", "none", expected)
+    remedy = "take a wider range, or mend the channel"
+    return Gate.judged("saturation", not found, " ".join(found) or "none", expected, remedy)
 
 
 def noise_gates(outputs: Sequence[OutputSignal], noise_sd: dict[str, float]) -> Iterator[Gate]:
@@ -111,8 +104,7 @@ def noise_gates(outputs: Sequence[OutputSignal], noise_sd: dict[str, float]) -> 
         moves = math.sqrt(max(float(np.var(seen)) - noise**2, 0.0))
         figure = f"floor {noise:.2g} {own.unit}, motion {moves:.3g} {own.unit}"
         remedy = "more amplitude, a better light or a nearer sensor"
-        is_seen = moves > noise
-        yield Gate(name, "passed" if is_seen else "doubtful", figure, expected, "" if is_seen else remedy)
+        yield Gate.judged(name, moves > noise, figure, expected, remedy)
 
 
 def place_gate(record: TimeRecord, rig: Rig | None, structure: str) -> Gate:
@@ -179,12 +171,11 @@ def unit_gate(record: TimeRecord, structure: str) -> Gate:
             doubts.append(f"{own.name} moves {ratio:.3g} times as much as {drive.name}: millimetres?")
         elif float(np.corrcoef(base, values)[0, 1]) < -_SIDE:
             doubts.append(f"{own.name} moves against {drive.name}: sign?")
-    if doubts:
-        remedy = (
-            "give the signal its scale (,scale=1e-3 or ,scale=-1), or mend calibration and camera.is_mirrored"
-        )
-        return Gate("units", "doubtful", "; ".join(doubts), expected, remedy)
-    return Gate("units", "passed", ", ".join(figures) or "nothing moves", expected)
+    figure = "; ".join(doubts) or ", ".join(figures) or "nothing moves"
+    remedy = (
+        "give the signal its scale (,scale=1e-3 or ,scale=-1), or mend calibration and camera.is_mirrored"
+    )
+    return Gate.judged("units", not doubts, figure, expected, remedy)
 
 
 def limit_gates(record: TimeRecord, rig: Rig | None) -> Iterator[Gate]:
@@ -197,29 +188,26 @@ def limit_gates(record: TimeRecord, rig: Rig | None) -> Iterator[Gate]:
     reached = float(np.max(np.abs(drive.values)))
     limit = 0.5 * rig.hub.travel
     step = max(rig.hub.encoder_resolution, drive.sigma)
-    is_at_end = reached > limit - 3.0 * step
-    yield Gate(
+    yield Gate.judged(
         "travel",
-        "doubtful" if is_at_end else "passed",
+        reached <= limit - 3.0 * step,
         f"{reached * 1e3:.3g} mm of {limit * 1e3:.3g} mm to either side",
         "the hub away from its stops",
-        "lower the amplitude: a stop is a blow that is no part of the input" if is_at_end else "",
+        "lower the amplitude: a stop is a blow that is no part of the input",
     )
-    highest = None
+    sizes = {}
     for own in record.outputs:
         times = own.times_s[own.is_valid]
         bent = own.values[own.is_valid] - np.interp(times, drive.times_s, drive.values)
-        size = float(np.max(np.abs(bent - np.median(bent))))
-        if highest is None or size > highest[1]:
-            highest = own.name, size
-    if highest is not None:
-        is_beyond = highest[1] > rig.hub.max_tip_deflection
-        yield Gate(
+        sizes[own.name] = float(np.max(np.abs(bent - np.median(bent))))
+    if sizes:
+        highest = max(sizes, key=lambda name: sizes[name])
+        yield Gate.judged(
             "deflection",
-            "doubtful" if is_beyond else "passed",
-            f"{highest[1] * 1e3:.3g} mm at {highest[0]}",
+            sizes[highest] <= rig.hub.max_tip_deflection,
+            f"{sizes[highest] * 1e3:.3g} mm at {highest}",
             f"below the rig's {rig.hub.max_tip_deflection * 1e3:.3g} mm, where the beam is linear",
-            "lower the amplitude, or sweep through the mode faster" if is_beyond else "",
+            "lower the amplitude, or sweep through the mode faster",
         )
 
 

@@ -71,11 +71,9 @@ def clock_gates(bag: Bag, costs: TimingCosts) -> Iterator[Gate]:
     if longest.points < 3 or math.isnan(longest.rate_ppm):
         remedy = "record longer, or with the driver's clock exchange at its usual rate"
         yield Gate("device clock", "doubtful", f"{longest.points} comparisons", "three or more", remedy)
-    elif scatter_s > costs.allowed_s:
-        remedy = "take load off the host, shorten the line to the device, or raise its rate"
-        yield Gate("device clock", "doubtful", figure, expected, remedy)
     else:
-        yield Gate("device clock", "passed", figure, expected)
+        remedy = "take load off the host, shorten the line to the device, or raise its rate"
+        yield Gate.judged("device clock", scatter_s <= costs.allowed_s, figure, expected, remedy)
     if len(clocks) > 1:
         yield Gate(
             "device restarts",
@@ -94,13 +92,9 @@ def order_gates(bag: Bag, topics: Sequence[str], origin_ns: int) -> Iterator[Gat
         total += len(stamps)
         found += order.sentences(topic, origin_ns)
     expected = "every stamp later than the one before, and none far off"
-    if found:
-        remedy = (
-            "they are left out; find what publishes them (two publishers on a topic, a clock that is set)"
-        )
-        yield Gate("stamps in order", "doubtful", "; ".join(found), expected, remedy)
-    else:
-        yield Gate("stamps in order", "passed", f"all {total} messages", expected)
+    remedy = "they are left out; find what publishes them (two publishers on a topic, a clock that is set)"
+    figure = "; ".join(found) or f"all {total} messages"
+    yield Gate.judged("stamps in order", not found, figure, expected, remedy)
 
 
 def jump_gate(records: Sequence[TimeRecord]) -> Gate:
@@ -111,17 +105,14 @@ def jump_gate(records: Sequence[TimeRecord]) -> Gate:
         for jumps in possible_jumps(record, number, [drive.name for drive in record.inputs], at_gaps=False)
         for jump in jumps[:1]
     ]
-    expected = "a steady rate, but for whole samples that are lost"
-    if not found:
-        return Gate("clock jumps", "passed", "none", expected)
     named = ", ".join(
         f"{', '.join(jump.signals)} by {jump.size_s * 1e3:.3g} ms at {jump.at_s:.3f} s" for jump in found[:3]
     )
-    return Gate(
+    return Gate.judged(
         "clock jumps",
-        "doubtful",
-        f"possible: {named}",
-        expected,
+        not found,
+        f"possible: {named}" if found else "none",
+        "a steady rate, but for whole samples that are lost",
         "the estimator modal decides from the data and takes a jump out; keep clocks from being set while recording",
     )
 
@@ -143,11 +134,11 @@ def rate_gates(outputs: Sequence[OutputSignal], rig: Rig | None, has_markers: bo
             yield Gate(name, "passed", figure, "any: samples are used at their own stamps")
             continue
         expected = f"{rig.camera.rate:g} frames a second, as the rig says"
-        is_other = abs(period * rig.camera.rate - 1.0) > _OFF_RATE
+        is_same = abs(period * rig.camera.rate - 1.0) <= _OFF_RATE
         remedy = (
             "give the rig file of this experiment, or mend the camera's settings: exposure goes with them"
         )
-        yield Gate(name, "doubtful" if is_other else "passed", figure, expected, remedy if is_other else "")
+        yield Gate.judged(name, is_same, figure, expected, remedy)
 
 
 def _clocks(outputs: Sequence[OutputSignal]) -> Iterator[tuple[np.ndarray, str]]:

@@ -339,26 +339,26 @@ def _modes(page: Page, estimation: Estimation, outcome: Mapping[str, Any]) -> No
 
 def _levels(page: Page, plan: Plan, outcome: Mapping[str, Any]) -> None:
     """Show how frequencies and damping ratios change with the amplitude, where an entry has several levels."""
-    level_of = {own.name: own.level for own in plan.recordings}
-    entry_of = {own.name: own.entry for own in plan.recordings}
-    entries = dict.fromkeys(own.entry for own in plan.recordings)
-    several = [
-        entry for entry in entries if len({own.level for own in plan.recordings if own.entry == entry}) > 1
-    ]
+    recorded = {own.name: own for own in plan.recordings}
+    levels: dict[str, set[float]] = {}
+    for one in plan.recordings:
+        levels.setdefault(one.entry, set()).add(one.level)
     shown = [
         (estimation, entry)
         for estimation in plan.estimations
-        for entry in several
-        if not estimation.together and any(entry_of[bag] == entry for bag in estimation.recordings)
+        for entry, found in levels.items()
+        if len(found) > 1
+        and not estimation.together
+        and entry in {recorded[bag].entry for bag in estimation.recordings}
     ]
     if not shown:
         return
     page.section("Linearity over levels")
     for estimation, entry in shown:
         points = [
-            (level_of[own["fit"]], mode)
+            (recorded[own["fit"]].level, mode)
             for own in outcome["estimates"]
-            if own["estimation"] == estimation.name and entry_of[own["fit"]] == entry
+            if own["estimation"] == estimation.name and recorded[own["fit"]].entry == entry
             for mode in _one_of_each(own["modes"])
         ]
         if points:

@@ -380,12 +380,7 @@ class _Reader:
             if name == _CALIBRATION:
                 raise ParameterFileError(f"{place}: that name belongs to the calibration; give another one")
             content = _mapping(place, entry, _RECORDING_KEYS)
-            levels = _list(f"{place}.levels", content.get("levels", [1.0]))
-            for level in levels:
-                if isinstance(level, bool) or not isinstance(level, (int, float)) or not 0.0 < level <= 100.0:
-                    raise ParameterFileError(
-                        f"{place}.levels has {level!r}: expected factors above 0, at most 100"
-                    )
+            levels = _levels(f"{place}.levels", content.get("levels", [1.0]))
             repetitions = _whole(f"{place}.repetitions", content.get("repetitions", 1), 1, _MOST_RECORDINGS)
             with_frames = _truth(f"{place}.frames", content.get("frames", False))
             one = len(levels) * repetitions == 1
@@ -396,14 +391,12 @@ class _Reader:
                         raise ParameterFileError(
                             f"recordings: more than {_MOST_RECORDINGS} bags; split the plan"
                         )
-                    own = self._excited(
-                        f"{place}.excitation", rig, content.get("excitation", {}), float(level)
-                    )
+                    own = self._excited(f"{place}.excitation", rig, content.get("excitation", {}), level)
                     recordings.append(
                         PlannedRecording(
                             name if one else f"{name}-{number}",
                             name,
-                            float(level),
+                            level,
                             repetition,
                             with_frames,
                             own,
@@ -597,6 +590,14 @@ def _whole(place: str, value: Any, low: int, high: int) -> int:
     if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
         raise ParameterFileError(f"{place} is {value!r}: expected a whole number from {low} to {high}")
     return value
+
+
+def _levels(place: str, value: Any) -> list[float]:
+    levels = _list(place, value)
+    for level in levels:
+        if isinstance(level, bool) or not isinstance(level, (int, float)) or not 0.0 < level <= 100.0:
+            raise ParameterFileError(f"{place} has {level!r}: expected factors above 0, at most 100")
+    return [float(level) for level in levels]
 
 
 def _list(place: str, value: Any) -> list[Any]:

@@ -13,7 +13,9 @@ from beam_ros.excitation.shaping import MoveOrder
 from beam_ros.experiments.plan import Estimation, Fit, Plan, PlannedRecording
 from beam_ros.experiments.progress_file import ProgressFile
 from beam_ros.experiments.quiet_moves import PLAYED, PlannedMove, rig_that_plays, verdict_on, write_verdict
-from beam_ros.offline.identification import Checked, IdentificationOutcome, identification_of_bags
+from beam_ros.offline.identification import Checked, identification_of_bags
+from beam_ros.offline.identification_summary import IdentificationOutcome
+from beam_ros.offline.loading.options import FitOptions
 from beam_ros.offline.simulation import simulate
 from beam_ros.rig.rig import Rig
 
@@ -194,16 +196,15 @@ def _estimate(
     estimation: Estimation, fit: Fit, unseen: Sequence[str], means: Means
 ) -> Callable[[Path, Path, Report], str]:
     """Return what identifies, validates and reports: a page that was written before all is judged would mislead."""
+    options = FitOptions(estimation.estimator, estimation.structure, estimation.modes)
 
     def run(done: Path, place: Path, report: Report) -> str:
         found = identification_of_bags(
             [done / bag_of(bag) for bag in fit.bags],
-            estimator=estimation.estimator,
-            structure=estimation.structure,
-            n_modes=estimation.modes,
             validation=[done / bag_of(bag) for bag in unseen],
             checked=means.check,
             progress=lambda phrase, share: report(share, phrase),
+            options=options,
         )
         state = ProgressFile.read(done)
         # The date is the experiment's, so that an interrupted one comes to the same report.

@@ -165,37 +165,41 @@ def experiment_until(
             f"the longest time is {longest_s:g} s and a segment {segment_s:g} s; expected a segment above 0 s that "
             "fits into the time: give more --time, or a shorter --segment"
         )
-    growing: GrowingIdentification | None = None
     experiments: list[Experiment] = []
     segments: list[KnownSegment] = []
     here, kind, predicted = of_length(rig, segment_s), f"{rig.excitation.kind} of the rig", None
-    is_known, chirp_s = False, math.nan
+    chirp_s = math.nan
     while True:
         plan_excitation(here)
         experiments.append(record(here, len(segments) + 1))
         first = experiments[0]
-        if growing is None:
+        if not segments:
             growing = GrowingIdentification(first.structure)  # type: ignore[arg-type]
         records = [own for one in experiments for own in one.records]
         result = growing.searched(records, first.clock_rate, first.latency)
         is_known = growing.knows(records, aims, first.clock_rate)
         spent_s = len(experiments) * segment_s
         model = None if result is None else result.model
-        segment = KnownSegment(
-            kind,
-            segment_s,
-            0 if model is None else model.n_modes,
-            {own.name: math.inf if model is None else own.relative_sd_of(model) for own in aims},
-            _to_go(aims, model, spent_s, predicted, segment_s),
+        segments.append(
+            _segment(kind, segment_s, aims, model, _to_go(aims, model, spent_s, predicted, segment_s))
         )
-        if predicted is not None and is_known and model is not None:
+        told(segments[-1])
+        if is_known and predicted is not None and model is not None:
             chirp_s = max(_alone(own, model, predicted.design.chirp.pole_sd, segment_s) for own in aims)
-        segments.append(segment)
-        told(segment)
         if is_known or spent_s + segment_s > longest_s:
             return UntilOutcome(tuple(aims), tuple(segments), result, is_known, chirp_s, growing.complaint)
         if model is not None:
             here, kind, predicted = _next(rig, aims, model, segment_s, design)
+
+
+def _segment(
+    kind: str, duration_s: float, aims: Sequence[Aim], model: ModalModel | None, seconds_to_go: float
+) -> KnownSegment:
+    """Return a segment with what all so far told: nothing where there is no model."""
+    if model is None:
+        return KnownSegment(kind, duration_s, 0, {own.name: math.inf for own in aims}, seconds_to_go)
+    known = {own.name: own.relative_sd_of(model) for own in aims}
+    return KnownSegment(kind, duration_s, model.n_modes, known, seconds_to_go)
 
 
 def of_length(rig: Rig, duration_s: float) -> Rig:

@@ -113,15 +113,7 @@ def import_columns(
     base = time_base(file, time)
     sources = [own for own in (signals.drive, *signals.outputs) if own is not None]
     asked = [(own.field, own.unit) for own in sources] or _all_with_units(file, base.choice)
-    choices = [choose_column(file, wanted, unit) for wanted, unit in asked]
-    headings = [own.column.heading for own in choices]
-    for own in choices:
-        if headings.count(own.column.heading) > 1:
-            raise UsageError(f"{path}: column {own.column.heading!r} is named twice; name every column once")
-        if own.unit.si not in INPUT_KINDS:
-            raise UsageError(
-                f"{path}: column {own.column.heading!r} is in {own.unit.si}, neither motion nor force; leave it out"
-            )
+    choices = _chosen(file, asked)
     names = _plain_names(file)
     topics, fields = _topics(choices, [names[own.column.heading] for own in choices])
     needed = [own is signals.drive for own in sources] or [False] * len(choices)
@@ -140,12 +132,13 @@ def import_columns(
             }
         ),
     }
-    first, count, missing = np.nan, 0, 0
+    count, missing = 0, 0
     with BagWriter(target, provenance=provenance) as bag:
         for topic in topics:
             bag.add_topic(topic.name, topic.type_name)
+        first = None
         for times, values, state in timed_blocks(file, base, choices, needed):
-            first = float(times[0]) if np.isnan(first) else first
+            first = float(times[0]) if first is None else first
             stamps = start_ns + np.rint((times - first) * 1e9).astype(np.int64)
             _write(bag, topics, stamps, values)
             count, missing = count + len(times), state.missing
@@ -156,6 +149,23 @@ def import_columns(
     notes = [base.note] if base.note else []
     notes += [f"{missing} rows are missing on the grid of its times"] if missing else []
     return Imported(target, count, found, fields, tuple(notes))
+
+
+def _chosen(file: ColumnFile, asked: Sequence[tuple[str, str]]) -> list[ColumnChoice]:
+    """Return the columns of headings and units, each of which is named once and holds motion or force."""
+    choices = [choose_column(file, wanted, unit) for wanted, unit in asked]
+    headings = [own.column.heading for own in choices]
+    for own in choices:
+        if headings.count(own.column.heading) > 1:
+            raise UsageError(
+                f"{file.path}: column {own.column.heading!r} is named twice; name every column once"
+            )
+        if own.unit.si not in INPUT_KINDS:
+            raise UsageError(
+                f"{file.path}: column {own.column.heading!r} is in {own.unit.si}, neither motion nor force; "
+                "leave it out"
+            )
+    return choices
 
 
 def _all_with_units(file: ColumnFile, time: ColumnChoice | None) -> list[tuple[str, str]]:

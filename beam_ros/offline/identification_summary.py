@@ -4,55 +4,122 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from beam_ident import (
+    AxisResult,
+    BestLinearApproximation,
     IdentificationResult,
     LineResult,
     ModalModel,
     Result,
     SeparateOutputsResult,
+    TimeRecord,
     TimeResult,
     ValidationResult,
     models_of,
 )
-from beam_ident.report.evidence import Agreement, ModeRow
+from beam_ident.amplitude.curves import AmplitudeCurves
+from beam_ident.amplitude.linearity import Linearity
+from beam_ident.report.evidence import Agreement, ErrorSources, ModeRow, Theory, Unseen, beside_theory
+from beam_ident.report.gates import Gate
+from beam_ident.report.verdict import judge
+from beam_ros.bags.apparatus import simulated_line
+from beam_ros.offline.axis_bag import rig_values
 from beam_ros.offline.loading.experiment import Experiment
+from beam_ros.offline.loading.options import FitOptions
 
 SCHEMA = 1
 _MOST_DEVIATIONS = 999
 _HERTZ = 2.0 * math.pi
 
 
-def describe(
-    experiments: Sequence[Experiment],
-    estimator: str,
-    result: Result,
-    modes: Sequence[ModeRow],
-    agreement: Agreement | None,
-) -> dict[str, Any]:
-    """Summarise an identification in plain numbers, beside the theory of its rig.
+@dataclass(frozen=True, eq=False)
+class IdentificationOutcome:
+    """What came of bags: data, models, checks, validations and the verdict on them, for every page that shows it.
 
-    Parameters
+    Attributes
     ----------
-    experiments : sequence of Experiment
-    estimator : str
+    experiments : tuple of Experiment -- what was identified
+    options : FitOptions -- how
     result : Result
-    modes : sequence of ModeRow -- with all their uncertainties
-    agreement : Agreement or None -- of the modes with theory
+    unseen : tuple of (Experiment, tuple of ValidationResult)
+        What the models were scored on, and how each of them did there.
+    modes : tuple of ModeRow -- every mode with all that is not known of it
+    theory : Theory or None -- of the rig, where the bag describes it
+    sources : ErrorSources -- what the scatter of the samples cannot show
+    gates : tuple of Gate -- what was looked at in the data before the fit
+    curves : AmplitudeCurves or None -- of frequency and damping over amplitude, where they were asked for
+    best_linear : BestLinearApproximation or None -- noise and distortion by line, where they were asked for
+    linearity : Linearity or None -- whether one pole describes each mode; None where the estimator has no modes
+    axis : AxisResult or None -- mass and friction of the hub's axis, where they were asked for
+    axis_notes : tuple of str -- what a reader should know of that
     """
+
+    experiments: tuple[Experiment, ...]
+    options: FitOptions
+    result: Result
+    unseen: tuple[tuple[Experiment, tuple[ValidationResult, ...]], ...]
+    modes: tuple[ModeRow, ...]
+    theory: Theory | None
+    sources: ErrorSources
+    gates: tuple[Gate, ...]
+    curves: AmplitudeCurves | None = None
+    best_linear: BestLinearApproximation | None = None
+    linearity: Linearity | None = None
+    axis: AxisResult | None = None
+    axis_notes: tuple[str, ...] = ()
+
+    @property
+    def experiment(self) -> Experiment:
+        """The first experiment, whose rig and structure hold for all."""
+        return self.experiments[0]
+
+    @property
+    def simulated(self) -> str:
+        """What a page must say under its title where no beam was measured; empty where all data are measured."""
+        return simulated_line(
+            one.apparatus for one in (*self.experiments, *(other for other, _ in self.unseen))
+        )
+
+    @property
+    def records(self) -> tuple[TimeRecord, ...]:
+        """The records of all experiments."""
+        return tuple(record for one in self.experiments for record in one.records)
+
+    @property
+    def validation(self) -> list[Unseen]:
+        """How the models did on what they had not seen, by the bag's name."""
+        return [Unseen(other.path.name, results) for other, results in self.unseen]
+
+    @cached_property
+    def agreement(self) -> Agreement | None:
+        """The modes beside theory, where there is one."""
+        return None if self.theory is None else beside_theory(self.modes, self.theory)
+
+    @cached_property
+    def content(self) -> dict[str, Any]:
+        """The same in plain numbers: what ``identification/result`` carries and ``--json`` prints."""
+        return _described(self)
+
+
+def _described(found: IdentificationOutcome) -> dict[str, Any]:
+    """Summarise an identification in plain numbers, beside the theory of its rig."""
+    experiments, result, agreement = found.experiments, found.result, found.agreement
     experiment = experiments[0]
     content: dict[str, Any] = {
         "schema": SCHEMA,
         "bag": str(experiment.path),
         "bags": [str(one.path) for one in experiments],
         "apparatus": experiment.apparatus.kind,
-        "estimator": estimator,
+        "estimator": found.options.estimator,
         "structure": experiment.structure,
         "outputs": list(experiment.output_names),
-        "modes": _modes(result, modes, agreement),
+        "modes": _modes(result, found.modes, agreement),
     }
     if agreement is not None and agreement.beside:
         content["theory"] = {
@@ -74,12 +141,37 @@ def describe(
         content["misfit"] = result.misfit.chi_squared / result.misfit.expected
     if isinstance(result, SeparateOutputsResult) and result.tables:
         content["orders"] = list(result.tables)
-    notes = [
-        note if len(experiments) == 1 else f"{one.path.name}: {note}"
-        for one in experiments
-        for note in one.notes
-    ]
-    return content | {"converged": result.converged, "warnings": list(result.warnings), "notes": notes}
+    content |= {
+        "converged": result.converged,
+        "warnings": list(result.warnings),
+        "notes": [*_notes(experiments), *found.axis_notes],
+    }
+    if found.unseen:
+        content["validation"] = [
+            {"bag": str(one.path), "scores": _validation_scores(results)} for one, results in found.unseen
+        ]
+    verdict = judge(result, found.gates, found.validation, agreement)
+    content["verdict"] = {"tone": verdict.tone, "text": verdict.text, "reasons": list(verdict.reasons)}
+    further = {
+        "linearity": found.linearity,
+        "amplitude": found.curves,
+        "best_linear": found.best_linear,
+        "axis": found.axis,
+    }
+    content |= {name: part.to_dict() for name, part in further.items() if part is not None}
+    if found.axis is not None and experiment.rig is not None:
+        content["rig_values"] = rig_values(found.axis, experiment.rig)
+    return content
+
+
+def _notes(experiments: Sequence[Experiment]) -> list[str]:
+    """Return what a reader should know of the data, of several bags with the name of each."""
+    named = (
+        [(f"{one.path.name}: ", one) for one in experiments]
+        if len(experiments) > 1
+        else [("", experiments[0])]
+    )
+    return [f"{name}{note}" for name, one in named for note in one.notes]
 
 
 def _modes(result: Result, modes: Sequence[ModeRow], agreement: Agreement | None) -> list[dict[str, Any]]:
@@ -137,7 +229,7 @@ def _scores(experiment: Experiment, result: Result) -> dict[str, dict[str, Any]]
     return scores
 
 
-def validation_scores(results: Sequence[ValidationResult]) -> dict[str, dict[str, Any]]:
+def _validation_scores(results: Sequence[ValidationResult]) -> dict[str, dict[str, Any]]:
     """Return how well models predict unseen data, in plain numbers, by output."""
     return {
         output.name: {

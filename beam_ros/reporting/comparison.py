@@ -16,6 +16,7 @@ from beam_ident.report.evidence import Trial, mode_rows
 from beam_ident.stored_results import restore
 from beam_ros.errors import UsageError
 from beam_ros.offline.identification import identification_of_bags
+from beam_ros.offline.loading.options import FitOptions
 from beam_ros.process.folders import new_folder
 from beam_ros.process.strict_json import strict_json
 from beam_ros.reporting.identification import deflection_of
@@ -112,7 +113,7 @@ def _trials(path: Path, name: str, estimator: str, n_modes: int | None) -> list[
     if file.suffix == ".json":
         models = stored_models(file)
         return [Trial(_named(name, models, model), model, source=str(file)) for model in models]
-    outcome = identification_of_bags(path, estimator=estimator, n_modes=n_modes)
+    outcome = identification_of_bags(path, options=FitOptions(estimator=estimator, n_modes=n_modes))
     models = list(models_of(outcome.result))
     deflection = deflection_of(outcome.experiment.record)
     return [Trial(_named(name, models, model), model, deflection, str(path)) for model in models]

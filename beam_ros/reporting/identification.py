@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from beam_ident import IdentificationError, TimeRecord, models_of, run_estimator
-from beam_ident.report.evidence import Trial, Unseen
+from beam_ident import IdentificationError, TimeRecord, models_of
+from beam_ident.report.evidence import Trial
 from beam_ident.report.identification import identification_page, poles_table
 from beam_ident.report.page import Drawn, write_whole
 from beam_ros.errors import UsageError
@@ -18,12 +18,13 @@ from beam_ros.interfaces.rig_parameters import IdentifierSettings
 from beam_ros.offline.axis_bag import rig_file_of
 from beam_ros.offline.identification import (
     Checked,
-    IdentificationOutcome,
     Progress,
+    fit,
     identification_of_bags,
     nothing_checked,
     write_models,
 )
+from beam_ros.offline.identification_summary import IdentificationOutcome
 from beam_ros.offline.loading.experiment import Experiment
 from beam_ros.offline.loading.options import FitOptions, paths
 from beam_ros.process.folders import new_folder
@@ -164,13 +165,13 @@ def report_identification(
     links += [(f"Film. {shows}", film.name)] if shows else []
     page = identification_page(
         f"Identification from {experiment.path.resolve().parent.name}/{experiment.path.name}",
-        [record for one in found.experiments for record in one.records],
+        found.records,
         found.result,
         provenance=_provenance(found, operator, made),
         notes=[note for one in found.experiments for note in one.notes],
         gates=found.gates,
         simulated=found.simulated,
-        validation=[Unseen(other.path.name, results) for other, results in found.unseen],
+        validation=found.validation,
         theory=found.theory,
         sources=found.sources,
         trials=[trial_of(one, found.options, len(found.modes)) for one in found.experiments]
@@ -208,11 +209,8 @@ def trial_of(experiment: Experiment, options: FitOptions, n_modes: int) -> Trial
     IdentificationError
         Its data do not carry a model.
     """
-    settings = options.settings(experiment.structure, experiment.clock_rate, experiment.latency)
     try:
-        result = run_estimator(
-            options.estimator, list(experiment.records), replace(settings, n_modes=n_modes)
-        )
+        result = fit([experiment], replace(options, n_modes=n_modes))
     except IdentificationError as err:
         raise type(err)(f"{experiment.path}: {err}") from err
     return Trial(

@@ -21,7 +21,7 @@ from beam_ros.errors import UsageError, faults_of_the_user
 from beam_ros.excitation.recipes import describe_excitation
 from beam_ros.files.formats import is_column_file
 from beam_ros.interfaces.rig_parameters import IdentifierSettings
-from beam_ros.offline.identification import identify_bag
+from beam_ros.offline.identification import identification_of_bags
 from beam_ros.offline.loading.options import FitOptions
 from beam_ros.offline.simulation import simulate
 from beam_ros.process.checksums import checksum
@@ -166,7 +166,7 @@ def _row_of_bag(path: Path, settings: Settings, gates_of: GatesOf) -> Row:
     info = None if is_column_file(path) else _summary(path)
     options = FitOptions.of(settings.identifier)
     gates = gates_of(path, settings.rig, replace(options, estimator="modal"))
-    found = identify_bag(path, rig=settings.rig, options=options)
+    found = identification_of_bags(path, rig=settings.rig, options=options).content
     doubts = [mode["doubt"] for mode in found["modes"] if mode.get("doubt")]
     is_good = (
         not _names(gates, "failed")

@@ -28,7 +28,8 @@ if TYPE_CHECKING:
     from beam_ros.excitation.shaping import MoveOrder
     from beam_ros.experiments.plan import Plan
     from beam_ros.experiments.steps import Means, Record, Report
-    from beam_ros.offline.identification import IdentificationOutcome, Looked
+    from beam_ros.offline.identification import Looked
+    from beam_ros.offline.identification_summary import IdentificationOutcome
     from beam_ros.offline.loading.options import FitOptions
     from beam_ros.process.remote_paths import AnyPath
     from beam_ros.rig.rig import Rig

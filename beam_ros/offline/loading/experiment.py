@@ -35,6 +35,7 @@ from beam_ros.signals.file_columns import read_file_signals
 from beam_ros.signals.records import SensorOutput, input_signal, output_signal, records_of_one_model
 from beam_ros.signals.stray_stamps import well_placed
 
+IMAGES = "camera/image_raw"
 VIDEO_TOPIC = "tracker/video"
 """String topic on which ``beam track`` says how a video's frames came into the bag: JSON."""
 _LEAD_S = 0.3
@@ -61,7 +62,7 @@ class Experiment:
     latency : Prior or None -- what is known of the time by which outputs are late; None: what is usual
     late_s : float -- what was taken off the markers' stamps already, because they were late by more than a fit finds
     apparatus : Apparatus -- whether a beam was measured or simulated, and whether its date is one
-    n_frames : int -- images of the camera in the bag
+    n_images : int -- frames in the bag
     """
 
     path: AnyPath
@@ -75,7 +76,7 @@ class Experiment:
     latency: Prior | None = None
     late_s: float = 0.0
     apparatus: Apparatus = MEASURED
-    n_frames: int = 0
+    n_images: int = 0
 
     @property
     def records(self) -> tuple[TimeRecord, ...]:
@@ -135,7 +136,6 @@ def experiment_of(
     path, signals = bag.path, options.signals
     signals.require_topics()
     notes: list[str] = []
-    late: CameraLateness | None = None
     if not signals.outputs:
         bag.require("beam/displacement")
     bag.read("excitation/info", "hub/sequence_state", VIDEO_TOPIC, "/diagnostics")
@@ -145,30 +145,11 @@ def experiment_of(
     videos = bag.texts(VIDEO_TOPIC)
     if rig is not None and videos and "points" in videos[-1]:
         rig = rig_with_points(rig, videos[-1]["points"])
-    drive = hub_drive(bag, rig, structure, info, notes) if signals.drive is None else None
-    if drive is None:
-        assert signals.drive is not None
-        drive = _signal_drive(read_field(bag, signals.drive.topic, signals.drive.field), signals.drive, notes)
-    if signals.outputs:
-        outputs = [
-            _signal_output(read_field(bag, own.topic, own.field), own, drive.origin_ns, notes)
-            for own in signals.outputs
-        ]
+    if signals.drive is None:
+        drive = hub_drive(bag, rig, structure, info, notes)
     else:
-        displacements = well_placed(bag, bag.displacements(), drive.origin_ns, notes)
-        markers = marker_outputs(displacements, drive.origin_ns, rig, notes)
-        if drive.is_hub and not videos:
-            late = camera_lateness(bag, markers, drive.origin_ns)
-        if late is not None:
-            markers = on_time(markers, late)
-            notes.append(late.sentence)
-        outputs = [SensorOutput(marker) for marker in markers]
-    clock_rate, tolerance = drive.clock_rate, rig.camera.clock_tolerance if rig else _CLOCK_TOLERANCE
-    if videos:
-        # The frames run on the camera's own clock, which is known as well as the low marker tells.
-        tolerance = float(videos[-1].get("synchronisation", {}).get("drift_sd", 0.0))
-    if late is not None:
-        tolerance = late.rate_tolerance(tolerance)
+        drive = _signal_drive(read_field(bag, signals.drive.topic, signals.drive.field), signals.drive, notes)
+    outputs, late = _outputs(bag, signals, drive, rig, bool(videos), notes)
     shares_clock = {own.topic for own in signals.outputs} == {signals.drive.topic if signals.drive else ""}
     chosen, records = _records(path.name, structure, options, drive, outputs, notes, info)
     return Experiment(
@@ -176,15 +157,40 @@ def experiment_of(
         records[0],
         rig,
         chosen,
-        Prior(clock_rate.mean, math.hypot(clock_rate.sd, tolerance)),
+        Prior(drive.clock_rate.mean, math.hypot(drive.clock_rate.sd, _rate_tolerance(rig, videos, late))),
         tuple(notes),
         info,
         further=records[1:],
         latency=None if drive.is_hub or shares_clock else Prior(0.0, math.inf),
         late_s=late.late_s if late else 0.0,
         apparatus=apparatus,
-        n_frames=bag.count("camera/image_raw"),
+        n_images=bag.count(IMAGES),
     )
+
+
+def _outputs(
+    bag: Bag, signals: Signals, drive: RecordedDrive, rig: Rig | None, is_video: bool, notes: list[str]
+) -> tuple[list[SensorOutput], CameraLateness | None]:
+    """Return the outputs that are named, else the markers, and by how much the camera was late with these."""
+    if signals.outputs:
+        fields = [(read_field(bag, own.topic, own.field), own) for own in signals.outputs]
+        return [_signal_output(samples, own, drive.origin_ns, notes) for samples, own in fields], None
+    displacements = well_placed(bag, bag.displacements(), drive.origin_ns, notes)
+    markers = marker_outputs(displacements, drive.origin_ns, rig, notes)
+    late = camera_lateness(bag, markers, drive.origin_ns) if drive.is_hub and not is_video else None
+    if late is not None:
+        markers = on_time(markers, late)
+        notes.append(late.sentence)
+    return [SensorOutput(marker) for marker in markers], late
+
+
+def _rate_tolerance(rig: Rig | None, videos: Sequence[Any], late: CameraLateness | None) -> float:
+    """Return how well the rate of the outputs' clock is known before anything is fitted."""
+    tolerance = rig.camera.clock_tolerance if rig else _CLOCK_TOLERANCE
+    if videos:
+        # The frames run on the camera's own clock, which is known as well as the low marker tells.
+        tolerance = float(videos[-1].get("synchronisation", {}).get("drift_sd", 0.0))
+    return tolerance if late is None else late.rate_tolerance(tolerance)
 
 
 def _columns_experiment(

@@ -21,7 +21,7 @@ from beam_ros.checks.bag_check import BagCheck, check_bag, format_check
 from beam_ros.cli.main import main
 from beam_ros.errors import UsageError
 from beam_ros.messages import BagTypes, Displacement
-from beam_ros.offline.identification import identify_bag
+from beam_ros.offline.identification import identification_of_bags
 from beam_ros.offline.loading.options import FitOptions
 from beam_ros.offline.simulation import simulate
 from beam_ros.rig.rig import Rig
@@ -190,7 +190,7 @@ def test_modes_of_an_output_whose_noise_nobody_knows_are_no_reason_to_refuse(tmp
     assert {own.verdict for own in modes} == {"not judged"}
     assert all("too many samples are missing" in own.figure for own in modes)
     assert check.can_be_identified
-    assert len(identify_bag(tmp_path / "bag")["modes"]) == len(modes)
+    assert len(identification_of_bags(tmp_path / "bag").content["modes"]) == len(modes)
 
     def one_seen(k: int, row: Displacement) -> Displacement:
         hidden = [k in lost, k in lost, False]
@@ -272,7 +272,7 @@ def test_displacements_that_never_change_are_refused_by_the_check_as_by_the_fit(
     assert not check.can_be_identified
     assert "is constant" in check.verdict
     with pytest.raises(IdentificationError, match="is constant"):
-        identify_bag(bag)
+        identification_of_bags(bag)
 
 
 @pytest.mark.parametrize("order", [[2, 1, 0], [1, 0, 2], [0, 2, 1]])

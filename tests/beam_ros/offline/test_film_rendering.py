@@ -11,7 +11,7 @@ import pytest
 
 from beam_ros.bags.reading import Bag
 from beam_ros.cli.main import main
-from beam_ros.offline.identification import identify_bag
+from beam_ros.offline.identification import identification_of_bags
 from beam_ros.offline.loading.experiment import load_experiment
 from beam_ros.rig.rig import Rig
 
@@ -75,7 +75,7 @@ def test_a_beam_without_dots_is_filmed_followed_and_identified(whole_film: Path,
     assert np.isfinite(error).mean() > 0.99
     assert 0.9 < np.sqrt(np.nanmean((error / sigma) ** 2)) < 1.15
 
-    found = identify_bag(target)
+    found = identification_of_bags(target).content
     model = Rig.from_file(whole_film / "rig.yaml").beam_model()
     assert len(found["modes"]) == 2
     for mode, omega in zip(found["modes"], model.natural_frequencies, strict=False):

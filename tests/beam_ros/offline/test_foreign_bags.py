@@ -25,7 +25,7 @@ from beam_ros.bags.writing import BagWriter
 from beam_ros.checks.bag_check import check_bag
 from beam_ros.cli.main import main
 from beam_ros.errors import UsageError
-from beam_ros.offline.identification import identify_bag
+from beam_ros.offline.identification import identification_of_bags
 from beam_ros.offline.loading.options import FitOptions
 from beam_ros.signals.descriptions import Signals
 from tests.beam_ros.signals import foreign_bags as foreign
@@ -56,7 +56,7 @@ def holds_the_truth(result: dict[str, Any], rtol: float = 1e-4) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("outputs", [(LASER,), (IMU,), (LASER, IMU)], ids=["laser", "imu", "both"])
 def test_no_rig_file_is_needed_for_the_poles(bag: Path, outputs: tuple[str, ...]) -> None:
-    result = identify_bag(bag, options=options(*outputs))
+    result = identification_of_bags(bag, options=options(*outputs)).content
     holds_the_truth(result)
     assert result["outputs"] == [text.strip("/") for text in (IMU, LASER) if text in outputs]
     assert "theory_mode" not in result["modes"][0]
@@ -69,7 +69,9 @@ def test_the_same_samples_in_mcap_give_the_same_poles(bag: Path, tmp_path: Path)
         for message in old.raw_messages():
             new.add_topic(message.topic, message.type_name)
             new.write(message.topic, message.receive_ns, message.data)
-    first, second = (identify_bag(path, options=options(LASER)) for path in (bag, tmp_path / "copy"))
+    first, second = (
+        identification_of_bags(path, options=options(LASER)).content for path in (bag, tmp_path / "copy")
+    )
     assert first["modes"] == second["modes"]
 
 
@@ -77,9 +79,9 @@ def test_the_same_samples_in_mcap_give_the_same_poles(bag: Path, tmp_path: Path)
 def test_a_copy_cannot_judge_the_model_and_does_not_count_twice(bag: Path, tmp_path: Path) -> None:
     copy = foreign.write(tmp_path / "copy", foreign.experiment(foreign.shaken(5.0), "/rig7"))
     with pytest.raises(UsageError, match="cannot judge the model"):
-        identify_bag(bag, options=options(LASER), validation=copy)
+        identification_of_bags(bag, options=options(LASER), validation=copy)
     with pytest.raises(UsageError, match="give each bag once"):
-        identify_bag([bag, copy], options=options(LASER))
+        identification_of_bags([bag, copy], options=options(LASER))
 
 
 @pytest.mark.slow
@@ -88,8 +90,8 @@ def test_two_bags_are_one_fit_and_two_others_judge_it(bag: Path, tmp_path: Path)
         foreign.write(tmp_path / f"bag{seed}", foreign.experiment(foreign.shaken(4.0, seed), "/rig7"))
         for seed in (1, 2, 3)
     ]
-    alone = identify_bag(bag, options=options(LASER))
-    both = identify_bag([bag, others[0]], options=options(LASER), validation=others[1:])
+    alone = identification_of_bags(bag, options=options(LASER)).content
+    both = identification_of_bags([bag, others[0]], options=options(LASER), validation=others[1:]).content
     holds_the_truth(both)
     assert both["bags"] == [str(bag), str(others[0])]
     for k in range(2):
@@ -103,27 +105,27 @@ def test_two_bags_are_one_fit_and_two_others_judge_it(bag: Path, tmp_path: Path)
 def test_a_known_delay_is_taken_off_and_an_unknown_one_found(tmp_path: Path) -> None:
     rows = foreign.experiment(foreign.shaken(4.0), "/rig7", laser_late_s=0.004)
     late = foreign.write(tmp_path / "late", rows)
-    found = identify_bag(late, options=options(LASER))
+    found = identification_of_bags(late, options=options(LASER)).content
     assert found["latency_s"] == pytest.approx(0.004, abs=1e-5)
-    known = identify_bag(late, options=options(f"{LASER},delay=0.004"))
+    known = identification_of_bags(late, options=options(f"{LASER},delay=0.004")).content
     assert known["latency_s"] == pytest.approx(0.0, abs=1e-5)
     holds_the_truth(known)
 
 
 @pytest.mark.slow
 def test_segments_are_used_and_nothing_else(bag: Path) -> None:
-    parts = identify_bag(bag, options=options(LASER, segments=((0.5, 2.0), (2.5, 4.5))))
+    parts = identification_of_bags(bag, options=options(LASER, segments=((0.5, 2.0), (2.5, 4.5)))).content
     holds_the_truth(parts)
-    whole = identify_bag(bag, options=options(LASER))
+    whole = identification_of_bags(bag, options=options(LASER)).content
     assert parts["modes"][0]["frequency_sd_hz"] > whole["modes"][0]["frequency_sd_hz"]
     with pytest.raises(UsageError, match=r"segment 100:inf lies outside"):
-        identify_bag(bag, options=options(LASER, segments=((100.0, np.inf),)))
+        identification_of_bags(bag, options=options(LASER, segments=((100.0, np.inf),)))
 
 
 @pytest.mark.slow
 def test_a_transfer_function_of_degrees_that_are_asked_for_has_its_table(bag: Path) -> None:
     told = options(LASER, estimator="srivc", orders=((2, 2), (4, 4)))
-    result = identify_bag(bag, options=told)
+    result = identification_of_bags(bag, options=told).content
     holds_the_truth(result, 1e-3)
     assert "FIT %" in result["orders"][0]
 
@@ -135,7 +137,7 @@ def test_a_stamp_three_seconds_back_is_named_and_moves_no_pole(tmp_path: Path) -
     topic, received, message = rows[place]
     wrong = foreign.laser_range(received - 400_000 - 3_000_700_000, message.range)
     rows[place] = (topic, received, wrong)
-    result = identify_bag(foreign.write(tmp_path / "back", rows), options=options(LASER))
+    result = identification_of_bags(foreign.write(tmp_path / "back", rows), options=options(LASER)).content
     (note,) = [note for note in result["notes"] if "cannot be right" in note]
     assert "2.996 s back" in note or "3.0" in note
     holds_the_truth(result)
@@ -171,7 +173,7 @@ def test_the_verb_reports_what_it_finds_and_writes_nothing_over(
 
 def test_without_signals_a_foreign_bag_is_refused_with_what_it_holds(bag: Path) -> None:
     with pytest.raises(MissingTopicsError, match="/rig7/imu"):
-        identify_bag(bag)
+        identification_of_bags(bag)
 
 
 # --- one recording in every form
@@ -309,7 +311,7 @@ FORMS: dict[str, ByRosbags | ByMcap] = {
 
 @pytest.fixture(scope="module")
 def original() -> dict[str, Any]:
-    return identify_bag(OURS)
+    return identification_of_bags(OURS).content
 
 
 def gates_of(path: Path) -> list[tuple[str, str]]:
@@ -330,7 +332,7 @@ def test_our_recording_gives_the_same_answers_in_every_form(
     FORMS[form].write(tmp_path / "bag")
     assert gates_of(tmp_path / "bag") == original_gates
     if form in IDENTIFIED:
-        found = identify_bag(tmp_path / "bag")
+        found = identification_of_bags(tmp_path / "bag").content
         assert {name: found[name] for name in _STEADY} == {name: original[name] for name in _STEADY}
 
 
@@ -347,7 +349,7 @@ def test_our_recording_under_other_names_gives_the_same_answers(
     ):
         outputs = [f"{beam}:position[{marker}],name={marker}" for marker in ("z010", "z225", "z285")]
         signals = Signals.of(f"{hub}:positions,name=axis", outputs)
-        found.append(identify_bag(path, options=FitOptions(signals=signals)))
+        found.append(identification_of_bags(path, options=FitOptions(signals=signals)).content)
     assert {name: found[1][name] for name in _STEADY[:-2]} == {name: found[0][name] for name in _STEADY[:-2]}
     for mode, ours in zip(found[1]["modes"], original["modes"], strict=True):
         assert abs(mode["frequency_hz"] - ours["frequency_hz"]) < ours["frequency_sd_hz"]

@@ -17,10 +17,11 @@ from beam_ros.bags.reading import Bag
 from beam_ros.bags.writing import BagWriter
 from beam_ros.errors import UsageError
 from beam_ros.interfaces.imperfections import PRESETS
-from beam_ros.offline.identification import identify_bag
+from beam_ros.offline.identification import identification_of_bags, write_models
 from beam_ros.offline.identification_summary import format_table
 from beam_ros.offline.loading.described_rig import described_rig
 from beam_ros.offline.loading.experiment import load_experiment
+from beam_ros.offline.loading.options import FitOptions
 from beam_ros.offline.simulation import simulate
 from beam_ros.rig.rig import Rig
 
@@ -41,7 +42,7 @@ def bag(rig: Rig, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.slow
 def test_the_identified_poles_are_the_models_own(rig: Rig, bag: Path) -> None:
-    result = identify_bag(bag)
+    result = identification_of_bags(bag).content
     truth = rig.beam_model().natural_frequencies / (2 * math.pi)
     assert result["converged"]
     assert len(result["modes"]) == 2
@@ -118,18 +119,20 @@ def test_tracked_frames_are_measured_with_the_rigs_own_calibration(rig: Rig, tmp
 
 @pytest.mark.slow
 def test_the_model_is_written_whole_and_reads_back(bag: Path, tmp_path: Path) -> None:
-    result = identify_bag(bag, folder=tmp_path / "out", n_modes=2)
-    document = json.loads((tmp_path / "out" / "model.json").read_text())
+    found = identification_of_bags(bag, options=FitOptions(n_modes=2))
+    document = json.loads(write_models(found, tmp_path / "model.json").read_text())
     model = ModalModel.from_dict(document["model"])
-    assert model.frequencies_hz == pytest.approx([m["frequency_hz"] for m in result["modes"]], rel=1e-15)
-    assert [p.name for p in (tmp_path / "out").iterdir()] == ["model.json"]
-    assert "4.38" in format_table(result)
+    assert model.frequencies_hz == pytest.approx(
+        [m["frequency_hz"] for m in found.content["modes"]], rel=1e-15
+    )
+    assert [p.name for p in tmp_path.iterdir()] == ["model.json"]
+    assert "4.38" in format_table(found.content)
 
 
 @pytest.mark.slow
 def test_a_model_is_scored_on_data_that_it_has_not_seen(rig: Rig, bag: Path, tmp_path: Path) -> None:
     simulate(rig.with_values({"simulation.seed": 5}), tmp_path / "unseen")
-    result = identify_bag(bag, validation=tmp_path / "unseen")
+    result = identification_of_bags(bag, validation=tmp_path / "unseen").content
     for name, score in result["validation"][0]["scores"].items():
         fitted = result["scores"][name]["fit_percent"]
         assert score["fit_percent"] == pytest.approx(fitted, abs=0.1)
@@ -177,8 +180,8 @@ LOST_FRAMES = {"beam/displacement": set(range(5, 790, 7)) | set(range(400, 420))
 def test_what_a_bag_lost_is_named_and_leaves_the_poles_where_they_are(
     bag: Path, tmp_path: Path, lost: dict[str, set[int]], told: str
 ) -> None:
-    whole = identify_bag(bag)
-    result = identify_bag(without(bag, tmp_path / "damaged", lost))
+    whole = identification_of_bags(bag).content
+    result = identification_of_bags(without(bag, tmp_path / "damaged", lost)).content
     assert any(told in note for note in result["notes"])
     assert len(result["modes"]) == len(whole["modes"])
     for found, mode in zip(result["modes"], whole["modes"], strict=True):
@@ -204,7 +207,7 @@ def test_both_sides_of_a_restart_of_the_device_are_used_though_each_has_its_own_
                     zero = None if batch.positions is None else batch.positions - 0.005
                     data = encode_batch(replace(batch, epoch=batch.epoch + 1, positions=zero))
             new.write(topic, message.receive_ns, data)
-    whole, result = identify_bag(bag), identify_bag(tmp_path / "restarted")
+    whole, result = (identification_of_bags(path).content for path in (bag, tmp_path / "restarted"))
     assert any("2 stretches" in note and "restarted 1 times" in note for note in result["notes"])
     for found, mode in zip(result["modes"], whole["modes"], strict=True):
         assert abs(found["frequency_hz"] - mode["frequency_hz"]) < mode["frequency_sd_hz"]
@@ -225,7 +228,7 @@ def test_frames_without_a_hub_are_named_and_a_hub_without_samples_is_refused(
 
 @pytest.mark.slow
 def test_a_mode_that_is_not_there_has_no_digits(bag: Path) -> None:
-    result = identify_bag(bag, n_modes=3)
+    result = identification_of_bags(bag, options=FitOptions(n_modes=3)).content
     (line,) = [line for line in format_table(result).splitlines() if "not a mode" in line]
     assert "does not stand out" in line
     assert "+-" not in line
@@ -237,7 +240,7 @@ def test_a_mode_that_is_not_there_has_no_digits(bag: Path) -> None:
 def test_a_force_driven_hub_shows_the_free_hubs_poles(tmp_path: Path) -> None:
     rig = Rig.from_file().with_values({**SHORT, "hub.command_mode": "effort", "excitation.acceleration": 0.2})
     simulate(rig, tmp_path / "force")
-    result = identify_bag(tmp_path / "force")
+    result = identification_of_bags(tmp_path / "force").content
     truth = rig.beam_model().free_hub_natural_frequencies / (2 * math.pi)
     assert result["structure"] == "force"
     for mode in result["modes"]:
@@ -256,9 +259,9 @@ def test_a_bag_without_the_needed_topics_is_refused_with_what_is_there(tmp_path:
     with BagWriter(tmp_path / "poor") as writer:
         writer.add_topic("hub/state")
     with pytest.raises(MissingTopicsError, match="beam/displacement"):
-        identify_bag(tmp_path / "poor")
+        identification_of_bags(tmp_path / "poor")
     with pytest.raises(BagError):
-        identify_bag(tmp_path / "nowhere")
+        identification_of_bags(tmp_path / "nowhere")
 
 
 @pytest.mark.slow
@@ -267,7 +270,7 @@ def test_a_realistic_beam_loses_energy_to_the_air_and_the_linear_fit_says_that_i
 ) -> None:
     air = {"simulation.drag_coefficient": 2.0, "simulation.large_deflections": True}
     simulate(rig.with_values(air), tmp_path / "realistic")
-    result = identify_bag(tmp_path / "realistic", n_modes=1)
+    result = identification_of_bags(tmp_path / "realistic", options=FitOptions(n_modes=1)).content
     assert result["modes"][0]["damping_ratio"] > 0.0055
     assert any("not white" in warning for warning in result["warnings"])
 
@@ -294,7 +297,7 @@ def test_what_friction_servo_clocks_and_camera_do_is_in_the_bag_and_the_model_is
     gaps = np.diff(frames)
     assert np.median(gaps) == pytest.approx(10_000_000, abs=10_000)
     assert np.std(gaps[gaps < 15_000_000]) == pytest.approx(np.sqrt(2) * 5e4, rel=0.1)
-    result = identify_bag(tmp_path / "realistic")
+    result = identification_of_bags(tmp_path / "realistic").content
     truth = rig.beam_model().natural_frequencies / (2 * math.pi)
     # Sticking and slipping excites mode 3 beyond the sweep's end, too; nothing else is found.
     assert len(result["modes"]) in (2, 3)
@@ -318,7 +321,7 @@ def test_noise_of_an_encoder_beside_an_axis_that_goes_as_it_is_led_costs_no_mode
     assert experiment.record.inputs[0].sigma == 0.0
     assert any(f"noise of {noise * 1e6:.0f} um" in note for note in experiment.notes)
     # Were the rounding of 0.1 um all that is stated, mode 2 would be ten standard deviations off at 2 um.
-    found = identify_bag(tmp_path / "noisy")
+    found = identification_of_bags(tmp_path / "noisy").content
     assert len(found["modes"]) == 2
     assert found["modes"][1]["frequency_sd_hz"] < 1.2e-3  # 1.0e-3 without the encoder's noise
     for mode in found["modes"]:
@@ -343,7 +346,7 @@ def test_noise_of_an_encoder_is_in_the_intervals_where_the_hub_goes_otherwise_th
                 new.write(raw.topic.strip("/"), raw.receive_ns, raw.data)
     experiment = load_experiment(tmp_path / "unled")
     assert experiment.record.inputs[0].sigma == pytest.approx(2e-6, rel=0.1)
-    for mode in identify_bag(tmp_path / "unled")["modes"]:
+    for mode in identification_of_bags(tmp_path / "unled").content["modes"]:
         assert abs(mode["frequency_z"]) < 4
         assert abs(mode["damping_ratio_z"]) < 4
 

@@ -21,7 +21,7 @@ from beam_ros.bags.signals import Unreadable, join_batches
 from beam_ros.bags.writing import BagWriter
 from beam_ros.cli.main import main
 from beam_ros.messages import BagTypes
-from beam_ros.offline.identification import identify_bag
+from beam_ros.offline.identification import identification_of_bags
 from beam_ros.rig.rig import Rig
 from tests.whole_bags import messages_of_whole_bag
 
@@ -259,7 +259,7 @@ def test_a_bag_of_the_hub_and_a_video_identify_as_the_truth(
     assert table.names == ("z010", "z225", "z285")
     assert not np.isnan(table.positions).any()
 
-    identified = identify_bag(bag)
+    identified = identification_of_bags(bag).content
     truth = Rig.from_file(RIG_FILE).beam_model()
     assert len(identified["modes"]) == 2
     for mode, omega, zeta in zip(

@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 from beam_ident.report.gates import Gate
-from beam_ros.offline.identification import IdentificationOutcome, identification_of_bags
+from beam_ros.offline.identification import identification_of_bags
+from beam_ros.offline.identification_summary import IdentificationOutcome
 from beam_ros.offline.simulation import simulate
 from beam_ros.rig.rig import Rig
 

@@ -9,7 +9,8 @@ pytest.importorskip("matplotlib")
 
 from beam_ros.cli.main import main
 from beam_ros.errors import UsageError
-from beam_ros.offline.identification import IdentificationOutcome, write_models
+from beam_ros.offline.identification import write_models
+from beam_ros.offline.identification_summary import IdentificationOutcome
 from beam_ros.reporting.comparison import compare
 
 

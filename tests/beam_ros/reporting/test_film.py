@@ -9,7 +9,8 @@ pytest.importorskip("cv2")
 
 import cv2
 
-from beam_ros.offline.identification import IdentificationOutcome, identification_of_bags
+from beam_ros.offline.identification import identification_of_bags
+from beam_ros.offline.identification_summary import IdentificationOutcome
 from beam_ros.reporting.film import write_film
 
 FRAMES = Path(__file__).resolve().parents[3] / "bags" / "frames"

@@ -19,8 +19,8 @@ from beam_ident.quantities import with_uncertainty
 from beam_ident.report.evidence import beside_theory
 from beam_ident.report.modes import modes_by_output
 from beam_ros.errors import UsageError
-from beam_ros.offline.identification import IdentificationOutcome, identification_of_bags
-from beam_ros.offline.identification_summary import format_table
+from beam_ros.offline.identification import identification_of_bags
+from beam_ros.offline.identification_summary import IdentificationOutcome, format_table
 from beam_ros.offline.loading.options import FitOptions
 from beam_ros.offline.simulation import simulate
 from beam_ros.offline.theory import theory_of_rig
@@ -184,7 +184,7 @@ def test_a_report_is_not_lost_to_another(folder: Path, outcome: IdentificationOu
 
 
 def test_other_estimators_have_reports_too(bag: Path, tmp_path: Path) -> None:
-    found = identification_of_bags(bag, estimator="local_polynomial", n_modes=2)
+    found = identification_of_bags(bag, options=FitOptions(estimator="local_polynomial", n_modes=2))
     files = report_identification(found, tmp_path / "report")
     assert files.report.exists()
     said = format_files(files.to_dict())

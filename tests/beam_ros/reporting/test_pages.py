@@ -10,6 +10,7 @@ pytest.importorskip("matplotlib")
 
 from beam_ident.report.page import Page
 from beam_ros.offline.identification import identification_of_bags
+from beam_ros.offline.loading.options import FitOptions
 from beam_ros.reporting.comparison import compare, write_comparison
 from beam_ros.reporting.identification import report_identification
 from tests.browser import faults_of_page, open_browser
@@ -22,7 +23,7 @@ pytestmark = pytest.mark.verify
 @pytest.mark.parametrize("estimator", ["modal", "common_poles", "local_polynomial"])
 def test_a_report_reads_on_every_screen_and_on_paper(estimator: str, bag: Path, tmp_path: Path) -> None:
     with open_browser() as browser:
-        found = identification_of_bags(bag, estimator=estimator, n_modes=2)
+        found = identification_of_bags(bag, options=FitOptions(estimator=estimator, n_modes=2))
         files = report_identification(found, tmp_path / "report")
         assert faults_of_page(browser, files.report) == []
 

@@ -12,7 +12,7 @@ from beam_ros.bags.reading import Bag
 from beam_ros.bags.writing import BagWriter
 from beam_ros.cli.main import main
 from beam_ros.messages import BagTypes
-from beam_ros.offline.identification import identify_bag
+from beam_ros.offline.identification import identification_of_bags
 
 RECORDING = Path(__file__).parents[3] / "bags" / "chirp_6s"
 
@@ -38,7 +38,10 @@ def restarted(path: Path, late_s: float) -> Path:
 
 @pytest.mark.slow
 def test_a_camera_that_is_late_by_six_tenths_of_a_second_changes_the_latency_alone(tmp_path: Path) -> None:
-    on_time, late = identify_bag(RECORDING), identify_bag(restarted(tmp_path / "late", 0.6))
+    on_time, late = (
+        identification_of_bags(RECORDING).content,
+        identification_of_bags(restarted(tmp_path / "late", 0.6)).content,
+    )
     assert late["latency_s"] - on_time["latency_s"] == pytest.approx(0.6, abs=2 * on_time["latency_sd_s"])
     assert late["latency_sd_s"] == pytest.approx(on_time["latency_sd_s"], rel=0.1)
     for one, other in zip(late["modes"], on_time["modes"], strict=True):
