@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 import textwrap
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
@@ -54,12 +55,12 @@ class SummaryTable:
 SummaryPart: TypeAlias = SummaryTable | str
 
 
-class Summarised:
+class Summarised(ABC):
     """Prints as a summary of at most 40 lines, and shows the same as tables in a notebook."""
 
+    @abstractmethod
     def summary_parts(self) -> list[SummaryPart]:
         """Return the summary's tables and sentences, the most important first."""
-        raise NotImplementedError
 
     def summary(self, most_lines: int = 40, width: int = 110) -> str:
         """Return what a reader should know first, as text.
