@@ -15,6 +15,7 @@ from beam_ros.hub.contract import ASK_AGAIN
 from beam_ros.interfaces import graph
 from beam_ros.interfaces.graph import QualityOfService
 from beam_ros.messages import RosTypes
+from beam_ros.shell.freeze_watch import WAKING_NS
 from beam_ros.shell.node import qos_profile
 
 HANG_S = 60.0
@@ -81,6 +82,7 @@ class Graph:
             answer = future.result()
             if not answer.message.endswith(ASK_AGAIN) or time.monotonic() > end:
                 return answer
+            self.spin(WAKING_NS * 1e-9)
 
     def ask(self, service: str, namespace: str = "", *, data: bool | None = None) -> None:
         """Ask for what must succeed."""

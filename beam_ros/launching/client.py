@@ -19,6 +19,7 @@ from beam_ros.hub.contract import ASK_AGAIN
 from beam_ros.hub.parameters import LinkParameters
 from beam_ros.interfaces import graph
 from beam_ros.messages import RosTypes
+from beam_ros.shell.freeze_watch import WAKING_NS
 from beam_ros.shell.node import qos_profile
 from beam_ros.shell.other_hubs import count_hubs, reach, two_hubs
 
@@ -116,9 +117,7 @@ class RigClient:
         RigUnavailableError
             Two hubs would both act on every command, or a replay would be taken for the rig.
         """
-        end = time.monotonic() + _LOOK_ROUND_S
-        while time.monotonic() < end:
-            self._executor.spin_once(timeout_sec=_SPIN_S)
+        self._spin(_LOOK_ROUND_S)
         if count_hubs(self._node):
             raise RigUnavailableError(two_hubs())
         for topic in ("hub/state", "hub/measured"):
@@ -128,6 +127,11 @@ class RigClient:
                     f"node `{info.node_name}` publishes {name} on this graph ({reach()}), as a replay does: "
                     "what it says would look live; end it, or give this rig another --namespace or ROS_DOMAIN_ID"
                 )
+
+    def _spin(self, seconds: float) -> None:
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            self._executor.spin_once(timeout_sec=_SPIN_S)
 
     def is_clock_settled(self) -> bool:
         """Whether the device's clock is mapped well enough to start a sequence."""
@@ -170,7 +174,7 @@ class RigClient:
         """Call a service of the table and return its message.
 
         A hub that was frozen refuses what was asked meanwhile, since nobody may want it any more. Who calls here
-        still waits for it, and asks again.
+        still waits for it, and asks again once the hub takes orders.
 
         Parameters
         ----------
@@ -198,6 +202,7 @@ class RigClient:
                 response = future.result()
                 if response.success or not response.message.endswith(ASK_AGAIN) or time.monotonic() > end:
                     break
+                self._spin(WAKING_NS * 1e-9)
         finally:
             self._node.destroy_client(client)
         if not response.success:
